@@ -77,7 +77,7 @@ figure, (left, right) = plt.subplots(
     1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[1.15, 1]
 )
 draw_model(model, displaced={"base": 25 * xi}, names=False, ax=left)
-plt.setp([*left.lines, *left.patches], alpha=0.25)
+plt.setp(left.images, alpha=0.25)
 draw_model(model, ax=left)
 left.set_title("The base at rest; pale: moved by 25 cm and 0.5 rad", fontsize=10)
 for i, name, color in ((5, "moment about z [N m]", "C1"), (0, "force along x [N]", "C0")):
@@ -112,5 +112,5 @@ np.testing.assert_allclose(force, printed, atol=1e-12)
 assert np.linalg.norm(exact[2] - printed) < 0.006 * np.linalg.norm(printed)
 
 # %% [markdown]
-# Read on: `contract.py` simulates this plate and fits its stiffnesses; `jaxbody demo` shows it from
-# the command line.
+# Read on: `contract.py` simulates this plate and fits its stiffnesses; `jaxbody demo --paper`
+# shows it from the command line.

@@ -13,6 +13,7 @@ class Page(HTMLParser):
     def __init__(self, path):
         super().__init__()
         self.headings, self.tables, self.pictures, self.links, self.notes = [], [], [], [], []
+        self.summary = []  # lines of the summary: what results say, and their status
         self.inside = ""
         self.feed(path.read_text())
         self.close()
@@ -36,10 +37,25 @@ class Page(HTMLParser):
     def handle_data(self, text):
         if self.inside in ("h1", "h2"):
             self.headings.append(text)
-        elif self.inside in ("th", "td"):
+        elif self.inside.split(".")[0] in ("th", "td"):
             self.tables[-1][-1][-1] += text
-        elif self.inside in ("p.note", "p.failed"):
+        elif self.inside in ("p", "p.ok", "p.failed"):
+            self.summary += text.splitlines()
+        elif self.inside == "p.note":
             self.notes.append(text)
+
+
+def cell(page, row, heading):
+    """The cell of a row under a heading, of the one table that has both."""
+    found = {
+        line[table[0].index(heading)]
+        for table in page.tables
+        if heading in table[0]
+        for line in table[1:]
+        if line[0] == row
+    }
+    (text,) = found
+    return _number(text)
 
 
 def numbers(page):

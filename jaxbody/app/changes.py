@@ -16,7 +16,8 @@ def set_value(document: Document, text: str) -> None:
     """Set an entry of a document from a text such as "left.stiffness=30 N/mm".
 
     The path before the equals sign names an entry of a body, support, element or closure, or of
-    another section, such as "motion.road.frequency" or "records.run1.file". The name of a body,
+    another section, such as "motion.road.frequency" or "records.run1.file"; "strut.spring.0" is the
+    first of several laws. The name of a body,
     support, element or closure may contain * and ?, as in file names: the entry is set in all
     objects that match and have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
@@ -51,10 +52,29 @@ def set_value(document: Document, text: str) -> None:
 
 
 def _put(table: Any, below: list[str], value: Any, text: str) -> None:
-    """Set an entry at a path below a table. Error: UNKNOWN_NAME."""
-    for part in below[:-1]:
-        table = table.get(part) if isinstance(table, dict) else None
-    if not isinstance(table, dict):
+    """Set an entry at a path below a table; a number counts the items of a list from 0. Errors:
+    UNKNOWN_NAME, SYNTAX for one value in place of several laws."""
+    *parts, last = (int(part) if part.isdigit() else part for part in below)
+    for part in parts:
+        table = _item(table, part)
+    old = _item(table, last)
+    if (
+        isinstance(old, list)
+        and any(isinstance(item, dict) for item in old)
+        and not isinstance(value, list)
+    ):
+        name = text.partition("=")[0].strip()
+        raise JaxbodyError(
+            Problem(
+                "SYNTAX",
+                text,
+                f"puts one law in the place of {len(old)}",
+                text,
+                " ".join(f"{name}.{i}" for i in range(len(old))),
+                f"Name the one to change, or give a list, {name}=[...].",
+            )
+        )
+    if not isinstance(table, dict) and old is None:
         raise JaxbodyError(
             Problem(
                 "UNKNOWN_NAME",
@@ -64,7 +84,14 @@ def _put(table: Any, below: list[str], value: Any, text: str) -> None:
                 hint="The words are those of the file.",
             )
         )
-    table[below[-1]] = value
+    table[last] = value
+
+
+def _item(table: Any, key: str | int) -> Any:
+    """Return an item of a table or a list; None if there is none."""
+    if isinstance(table, list) and isinstance(key, int) and key < len(table):
+        return table[key]
+    return table.get(key) if isinstance(table, dict) else None
 
 
 def _value(text: str) -> Any:

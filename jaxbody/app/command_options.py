@@ -2,10 +2,12 @@
 
 from typing import Any
 
-QUANTITIES = {  # sensors of motion along an axis and of rotation about it
-    "displacement": ("Position", "Rotation"),
-    "velocity": ("Velocity", "AngularVelocity"),
-    "acceleration": ("Acceleration", "AngularAcceleration"),
+KINDS = ("displacement", "velocity", "acceleration")
+QUANTITIES = {  # sensors of an output along an axis, about it, and of an element
+    "displacement": ("Position", "Rotation", "Elongation"),
+    "velocity": ("Velocity", "AngularVelocity", "Elongation"),
+    "acceleration": ("Acceleration", "AngularAcceleration", "Elongation"),
+    "force": ("Reaction", "Reaction", "LoadCell"),
 }
 
 
@@ -31,6 +33,18 @@ def band(text: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def span(text: str) -> tuple[str, str, str]:
+    """Parse "left.stiffness=100 N/mm : 400 N/mm" into a path and two texts; the unit of the second
+    is that of the first if it has none."""
+    path, sign, ends = text.partition("=")
+    low, colon, high = (part.strip() for part in ends.partition(":"))
+    if not (path and sign and low and colon and high):
+        raise ValueError
+    unit = high.lstrip("+-.0123456789e").strip()
+    return path.strip(), low if low[-1:].isalpha() or not unit else f"{low} {unit}", high
+
+
+span.__name__ = "path, and two values with their unit, left.stiffness=100:400 N/mm,"
 load_case.__name__ = "name and three numbers, bump=0,0,3,"
 above_zero.__name__ = "number above zero,"
 band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
@@ -38,11 +52,14 @@ band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of 
 
 def ports_options(required: bool) -> tuple[Any, ...]:
     several: dict[str, Any] = {"action": "append", "required": required, "default": []}
-    directions = "support and x, y, z, rx, ry or rz"
-    places = "body and direction, element, or sensor of the file"
+    directions = (
+        "support or body and x, y, z, rx, ry or rz: a motion, or a force or moment; or a load of "
+        "the file, such as an Unbalance"
+    )
+    places = "body or element and direction, element, or sensor of the file"
     return (
-        (("--input",), several | {"metavar": "SUPPORT.z", "help": directions}),
-        (("--output",), several | {"metavar": "BODY.z", "help": places}),
+        (("--input",), several | {"metavar": "NAME.z", "help": directions}),
+        (("--output",), several | {"metavar": "NAME.z", "help": places}),
         (
             ("--quantity",),
             {
@@ -73,23 +90,26 @@ BAND = (
         "help": "[Hz] (default: 0.1:50)",
     },
 )
+
+
+def number_of(flag: str, what: str, default: int) -> tuple[Any, ...]:
+    return (flag,), {
+        "type": int,
+        "default": default,
+        "metavar": "N",
+        "help": f"{what} (default: {default})",
+    }
+
+
 OF_RESPONSE = (
     BAND,
-    (
-        ("--points",),
-        {
-            "type": int,
-            "default": 400,
-            "metavar": "N",
-            "help": "number of frequencies (default: 400)",
-        },
-    ),
+    number_of("--points", "number of frequencies", 400),
     (
         ("--kind",),
         {
-            "choices": list(QUANTITIES),
+            "choices": KINDS,
             "default": "displacement",
-            "help": "of the input (default: displacement)",
+            "help": "of the motion of a support (default: displacement)",
         },
     ),
 )
@@ -102,9 +122,9 @@ OF_MOTION = (
         ("--interval",),
         {
             "type": above_zero,
-            "default": 0.01,
             "metavar": "DT",
-            "help": "between samples [s] (default: 0.01)",
+            "help": "between samples [s] (default: 0.01, or a twentieth of the shortest period of "
+            "harmonic motions and loads)",
         },
     ),
 )
@@ -125,6 +145,18 @@ OF_STEPS = (
             "help": "largest number of its steps (default: by the number of samples)",
         },
     ),
+)
+OVER = (
+    (
+        ("--over",),
+        {
+            "type": span,
+            "required": True,
+            "metavar": "PATH=LOW:HIGH",
+            "help": 'a parameter and its range, such as "left.stiffness=100:400 N/mm"',
+        },
+    ),
+    number_of("--points", "number of values", 11),
 )
 FREE = (
     ("--free",),

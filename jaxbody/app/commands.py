@@ -16,7 +16,8 @@ from typing import Any
 import jaxbody as jb
 from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS
-from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, check_known
+from jaxbody.core.printed_tables import text_in, unit_words
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
 
@@ -24,6 +25,7 @@ DESCRIPTION = (
     "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, "
     "identification and design."
 )
+READY = Path(__file__).with_name("ready")  # files of models
 EPILOG = """first steps:
   jaxbody new engine > engine.toml   # a file to edit; jaxbody new lists the ready models
   jaxbody check engine.toml
@@ -77,16 +79,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return 0
-    options.own_process = arguments is None
+    options.own_process, options.words = arguments is None, {}
     if options.own_process:
         warnings.showwarning = lambda message, *_, **__: print(
-            f"warning: {message}", file=sys.stderr
+            f"warning: {text_in(str(message), options.words)}", file=sys.stderr
         )  # without the line of code that issues the warning
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options)
     except JaxbodyError as error:
-        print(f"jaxbody {options.command}: {error}", file=sys.stderr)
+        words = text_in(str(error), options.words)
+        print(f"jaxbody {options.command}: {words}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -104,14 +107,14 @@ def _parser() -> argparse.ArgumentParser:
     new = commands.add_parser(
         "new",
         help=about,
-        description=about.capitalize() + ".",
+        description=f"{about[0].upper()}{about[1:]}.",
         epilog="examples:\n  jaxbody new quarter_car > car.toml\n"
         "  jaxbody new --mounts mounts.csv > engine.toml",
         formatter_class=form,
     )
     chosen = new.add_mutually_exclusive_group()
     chosen.add_argument(
-        "model", nargs="?", help="name of a ready model; without it, their names are printed"
+        "model", nargs="?", help="name of a ready model; without it, all are listed"
     )
     chosen.add_argument(
         "--mounts",
@@ -124,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
         sub = commands.add_parser(
             name,
             help=command.about,
-            description=command.about.capitalize() + ".",
+            description=f"{command.about[0].upper()}{command.about[1:]}.",
             epilog=f"example:\n  {command.example}",
             formatter_class=form,
         )
@@ -133,18 +136,21 @@ def _parser() -> argparse.ArgumentParser:
         for flags, more in (*ON_FILES, out, *command.options):
             sub.add_argument(*flags, **more)
         sub.set_defaults(run=_on_file)
-    demo = commands.add_parser(
-        "demo",
-        help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses",
-    )
+    about = "an engine on its mounts: modes, transmissibility, a fit, tuned mounts and a report"
+    demo = commands.add_parser("demo", help=about, description=f"{about[0].upper()}{about[1:]}.")
     demo.add_argument(
         "--out",
         type=Path,
         default=Path("jaxbody-demo"),
-        help="folder for the figures (default: ./jaxbody-demo)",
+        help="folder for what it writes (default: ./jaxbody-demo)",
     )
     demo.add_argument(
         "--seed", type=int, default=0, help="seed of the measurement noise (default: 0)"
+    )
+    chosen = demo.add_mutually_exclusive_group()
+    chosen.add_argument("--open", action="store_true", help="open the report in the browser")
+    chosen.add_argument(
+        "--paper", action="store_true", help="the plate of Stanescu and Mihalcea (2011) instead"
     )
     demo.set_defaults(run=_demo)
     return parser
@@ -154,7 +160,9 @@ def _demo(options: argparse.Namespace) -> int:
     _prepare(options)
     from jaxbody.app import demos
 
-    return demos.run(options.out, options.seed)
+    if options.paper:
+        return demos.run_paper(options.out, options.seed)
+    return demos.run(options.out, options.seed, options.open)
 
 
 def _use_x64() -> None:
@@ -187,22 +195,26 @@ def _new(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 0
-    ready = dir(jb.presets)
+    ready = {path.stem: path.read_text("utf-8") for path in sorted(READY.glob("*.toml"))}
     if options.model is None:
-        print("Ready models: " + ", ".join(ready))
+        print("Ready models, for `jaxbody new NAME > FILE`:")
+        for name, text in ready.items():
+            print(f"  {name:25}{text.partition(chr(10))[0].removeprefix('# ')}")
         return 0
-    chosen = (
-        [options.model]
-        if options.model in ready
-        else [name for name in ready if name.startswith(options.model)]
-    )
-    if len(chosen) != 1:
-        raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
-    _use_x64()
-    from jaxbody.app.new_files import text_of
-
-    print(text_of(chosen[0]), end="")
+    check_known(options.model, "name", ready)
+    print(ready[options.model], end="")
     return 0
+
+
+def _text(result: Any, units: Any) -> str:
+    """Return a remark, a table or a result as text in these units."""
+    from jaxbody.core.tables import PrintedTable, tables_in, text
+
+    if isinstance(result, str):
+        return text_in(result, unit_words(units))
+    if isinstance(result, PrintedTable):
+        return text(*tables_in([result], units)) + "\n"
+    return result.summary(units=units) + "\n"
 
 
 def _on_file(options: argparse.Namespace) -> int:
@@ -219,8 +231,8 @@ def _on_file(options: argparse.Namespace) -> int:
             )
         )
     document = read_document(options.file, options.largest)
-    for text in options.set:
-        set_value(document, text)
+    for stated in options.set:
+        set_value(document, stated)
     values = checked_values(document)
     _prepare(options)
     import numpy as np
@@ -230,13 +242,14 @@ def _on_file(options: argparse.Namespace) -> int:
     study = study_of(
         document, values, options.file.parent, options.allow, measured=command.measured
     )
+    options.words = unit_words(study.printed_units)
     outcome = command.run(study, options)
     for result in outcome.results:
-        print(result)
+        print(_text(result, study.printed_units))
     if options.out is not None and not outcome.saved:
         from jaxbody.app.saved_results import save
 
-        save(outcome, options.out)
+        save(outcome, options.out, study.printed_units)
         print(f"saved {options.out}")
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
     if outcome.space is not None and options.write:

@@ -6,7 +6,9 @@ import functools
 import hashlib
 import io
 import platform
+import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import version
@@ -15,69 +17,100 @@ from typing import Any
 
 import numpy as np
 
+from jaxbody.app.report_contents import fitting, inputs, matrices, sentences
 from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.core.printed_tables import Words, text_in, unit_words
 from jaxbody.core.source_files import check_file, extension_of, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.validations import Validation
+from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.vibration.linearizations import Linearization
-from jaxbody.vibration.natural_modes import modes
+from jaxbody.vibration.linearizations import Linearization, LinearSystem
+from jaxbody.vibration.natural_modes import ModalResult, modes
 from jaxbody.views import plots
+from jaxbody.views.plots.plot_units import label_in
 from jaxbody.views.plots.plots_of_results import picture_of
 
 Pictures = Iterable[tuple[str, Any]]  # (caption, axes); a caption without axes is printed as a note
 MOST_MODES = 6  # largest number of modes that are drawn
 MOST_RECORDS = 6  # largest number of records of a fit that are drawn
 LARGEST_DRAWING = 300_000  # largest size of a vector drawing [bytes]; others are drawn in pixels
+NUMERIC = re.compile(r"[-+<>=.\d]|nan|$")  # the beginning of cells of a column of numbers
+INSIDE_UNIT = re.compile(r" (?=[^\[]*\])")  # spaces at which a heading is not broken
 LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
 
 STYLE = """
-:root { color: #2b2f36; font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
-body { max-width: 60rem; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: .5rem 0; }
-h2 { font-size: 1.25rem; margin: 2rem 0 .5rem; padding-top: .5rem; border-top: 1px solid #c5ccd6; }
-nav ul { padding-left: 1.2rem; columns: 14rem; }
-a { color: #1f5f9b; }
-.table { overflow-x: auto; margin: .7rem 0; }
+:root { color-scheme: light; --text: #23272e; --page: #ffffff; --faint: #555b66; --line: #d5dae1; --strong: #858b95; --link: #1b5a96;
+  --good: #1a6b3c; --bad: #a3243b; --card: #f3f5f8; color: var(--text); background: var(--page);
+  font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { color-scheme: dark; --text: #e4e7ec; --page: #16191e; --faint: #a9b0bb; --line: #343a43; --strong: #757d89; --link: #86bdf0;
+    --good: #6fce96; --bad: #f593a2; --card: #20252c; }
+  figure img { background: #ffffff; padding: .5rem; border-radius: .4rem; box-sizing: border-box; }
+}
+body { max-width: 1400px; margin: 0 auto; padding: 1rem clamp(1rem, 3vw, 2.5rem); box-sizing: border-box; overflow-wrap: anywhere; }
+h1 { font-size: 1.8rem; line-height: 1.2; margin: .5rem 0 1rem; }
+h2 { font-size: 1.3rem; margin: 2.2rem 0 .6rem; padding-top: .6rem; border-top: 1px solid var(--line); }
+a { color: var(--link); }
+.summary { background: var(--card); padding: .4rem 1rem 1rem; border-radius: .4rem; }
+.summary h2 { border: 0; margin: 0; }
+dl { display: grid; grid-template-columns: fit-content(14rem) 1fr; gap: .5rem 1.2rem; margin: .5rem 0; }
+dt { font-weight: 600; }
+dd { margin: 0; max-width: 80rem; }
+dd p { margin: 0; white-space: pre-line; }
+.ok { color: var(--good); }
+.failed { color: var(--bad); font-weight: 600; }
+.content { display: grid; grid-template-columns: minmax(0, 1fr); gap: 0 2.5rem; align-items: start; }
+@media (min-width: 1200px) { .content:has(> :nth-child(2)) { grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); } }
+.tables { display: flex; flex-wrap: wrap; gap: .4rem 3rem; align-items: flex-start; }
+.table { max-width: 100%; overflow-x: auto; margin: .5rem 0; }
 table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding: .2rem 0; }
-th, td { padding: .15rem .8rem .15rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e4e8ee; }
-th:first-child { text-align: left; }
-thead th { border-bottom: 1px solid #8a8f98; vertical-align: bottom; }
+th, td { padding: .15rem 0 .15rem .9rem; text-align: right; vertical-align: top; white-space: nowrap; overflow-wrap: normal; border-bottom: 1px solid var(--line); }
+thead th { border-bottom: 1px solid var(--strong); vertical-align: bottom; white-space: normal; font-weight: 600; }
 tbody th { font-weight: 400; }
-.note { font-size: .87rem; white-space: pre-line; margin: .3rem 0; }
-.failed { border-left: 4px solid #b8344a; padding: .3rem .8rem; background: #fbeef0; }
-.pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); gap: 1rem; align-items: end; }
+th:first-child { padding-left: 0; }
+.text { text-align: left; }
+td.text { white-space: normal; min-width: 5rem; max-width: 26rem; }
+.note { font-size: .87rem; color: var(--faint); white-space: pre-line; margin: .3rem 0; flex-basis: 100%; max-width: 80rem; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: 1rem 1.5rem; align-items: end; margin: .5rem 0; }
 .pictures > .note { grid-column: 1 / -1; }
-figure { margin: .5rem 0; break-inside: avoid; }
-figure img { max-width: 100%; height: auto; }
-figcaption { font-size: .87rem; color: #555b66; }
-footer { margin-top: 2.5rem; border-top: 1px solid #c5ccd6; font-size: .8rem; overflow-wrap: anywhere; }
+figure { margin: 0; break-inside: avoid; }
+figure img { max-width: 100%; max-height: 36rem; }
+figcaption { font-size: .87rem; color: var(--faint); }
+iframe { width: 100%; height: 34rem; border: 1px solid var(--line); background: #ffffff; }
+footer { margin-top: 2.5rem; border-top: 1px solid var(--line); font-size: .8rem; color: var(--faint); }
+@media (max-width: 700px) { dl { display: block; } dd { margin: 0 0 .7rem; } table { font-size: .8rem; } th, td { padding-left: .5rem; } }
 @media print {
-  :root { font-size: 10pt; }
+  :root { font-size: 9.5pt; }
   body { max-width: none; padding: 0; }
-  nav { display: none; }
-  h2 { break-after: avoid; }
-  tr, .failed { break-inside: avoid; }
+  .summary { padding: 0; background: none; }
+  h2, caption, thead { break-after: avoid; }
+  tr, dd { break-inside: avoid; }
+  .content, .tables { display: block; }
   .table { overflow: visible; break-inside: avoid; }
-  th, td { white-space: normal; padding-right: .4rem; }
+  th, td { padding-left: .6rem; }
+  .pictures { grid-template-columns: 1fr 1fr; }
   a { color: inherit; text-decoration: none; }
-  figure img { max-height: 18cm; }
+  figure img { max-height: 11cm; }
+  iframe { display: none; }
 }
-@page { margin: 18mm; }
+@page { margin: 16mm; }
 """  # noqa: E501
 
 
-# with this policy, a browser loads nothing from elsewhere and reports an attempt as an error
+# with this policy, a browser loads nothing from elsewhere and reports an attempt as an error; a
+# frame inherits it, so that with a view in three dimensions scripts in the page are permitted
 PAGE = (
     "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
     '<meta http-equiv="Content-Security-Policy" '
-    "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
+    "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'{policy}\">"
     "<meta name='viewport' content='width=device-width, initial-scale=1'>"
     "<title>{heading}</title><style>{style}</style></head>"
-    "<body><main><h1>{heading}</h1>{contents}{sections}</main>{footer}</body></html>\n"
+    "<body><main><h1>{heading}</h1>{sections}</main>{footer}</body></html>\n"
 )
+SCRIPTS = "; script-src 'unsafe-inline' 'wasm-unsafe-eval'; connect-src data: blob:"
 
 
 def report(
@@ -87,9 +120,12 @@ def report(
     title: str = "",
     files: Iterable[Any] = (),
     command: str = "",
+    units: Any = None,
+    view: bool = False,
 ) -> Path:
-    """Write a report: a section for each result, with its status, its tables and its pictures.
-    Return its path.
+    """Write a report: a summary of what was analyzed and found, with the status of each result; the
+    inputs of the models; a section for each result, with its tables and its pictures; the matrices
+    of small motions. Return its path.
 
     Args:
         results: {heading: result of jaxbody}; a section has its tables and the picture of its
@@ -98,8 +134,13 @@ def report(
         title: title of the report; default: the name of the file
         files: paths of the files that the results are from; their hashes are listed
         command: command that writes the report again; it is printed at the end
+        units: units of all numbers, as in `summary` of a result: "mm", "SI", or those of a
+            model file, `study.printed_units`; None: SI with six digits
+        view: whether a motion, the modes or the model is shown in three dimensions, which needs
+            scripts in the page, but no network, and `pip install 'jaxbody[view]'`
 
-    Errors: UNKNOWN_FORMAT, WRONG_KIND, NO_DATA, NO_FILE, NOT_SAVED.
+    Errors: UNKNOWN_FORMAT, WRONG_KIND, NO_DATA, NO_FILE, NOT_SAVED, UNKNOWN_NAME, UNKNOWN_UNIT;
+    for a view MISSING_EXTRA.
 
     >>> import pathlib, tempfile
     >>> car = jb.presets.quarter_car(damping=1500.0)
@@ -108,9 +149,10 @@ def report(
     ...     {"Car": car, "Modes": jb.modes(jb.linearize(car, car.reference))},
     ...     path,
     ...     title="Quarter car",
+    ...     units="mm",
     ... ).read_text()
-    >>> "<h1>Quarter car</h1>" in text, "<script" in text
-    (True, False)
+    >>> "<h1>Quarter car</h1>" in text, "<td>35</td>" in text, "<script" in text
+    (True, True, False)
     """
     path = Path(path)
     with Problems() as problems:
@@ -124,6 +166,7 @@ def report(
                     limit="a result of jaxbody",
                 )
         problems.gather(lambda: extension_of(path, ".html"))
+        words = None if units is None else problems.gather(lambda: unit_words(units))
         if not results:
             problems.add(
                 "NO_DATA",
@@ -133,18 +176,21 @@ def report(
                 hint='Give {"Modes": modes}.',
             )
     hashes = [(Path(file).name, _hash(Path(file))) for file in files]
-    sections = "".join(
-        f"<section id='s{i}'>{_section(name, result)}</section>"
-        for i, (name, result) in enumerate(results.items())
-    )
-    links = "".join(
-        f"<li><a href='#s{i}'>{escape(name)}</a></li>" for i, name in enumerate(results)
-    )
+    ordered = sorted(results.items(), key=lambda item: not isinstance(item[1], Model))
+    sections = [_summary(dict(ordered), words or {})]
+    sections += [_section(f"s{i}", *item, words) for i, item in enumerate(ordered)]
+    sections += [_view(results)] if view else []
+    sections += [
+        f"<section><h2>Matrices of {escape(name)}</h2><div class='tables'>{tables}</div></section>"
+        for name, result in ordered
+        if isinstance(result, LinearSystem)
+        for tables in [_tables(matrices(in_numpy(result), words or {}), words)]
+    ]
     page = PAGE.format(
+        policy=SCRIPTS if view else "",
         style=STYLE,
         heading=escape(title or path.stem),
-        contents=f"<nav aria-label='Contents'><ul>{links}</ul></nav>" if len(results) > 3 else "",
-        sections=sections,
+        sections="".join(sections),
         footer=_footer(hashes, command),
     )
     with writing(path):
@@ -152,14 +198,52 @@ def report(
     return path
 
 
-def _section(name: str, result: Any) -> str:
+def _summary(results: dict[str, Any], words: Words) -> str:
+    """Return the HTML of what each result says, with its status and its remarks."""
+    entries = []
+    for i, (name, result) in enumerate(results.items()):
+        kind = "ok" if np.all(getattr(result, "ok", True)) else "failed"
+        verdict = [result.report()] if hasattr(result, "ok") else []
+        verdict = text_in("\n".join([*verdict, *getattr(result, "remarks", ())]), words)
+        lines = "\n".join(sentences(in_numpy(result), words))
+        entries.append(
+            f"<dt><a href='#s{i}'>{escape(name)}</a></dt><dd><p>{escape(lines)}</p>"
+            f"<p class='{kind}'>{escape(verdict)}</p></dd>"
+        )
+    return f"<section class='summary'><h2>Summary</h2><dl>{''.join(entries)}</dl></section>"
+
+
+def _section(mark: str, name: str, result: Any, words: Words | None) -> str:
     """Return the HTML of the section of a result."""
-    parts = [f"<h2>{escape(name)}</h2>"]
-    if not np.all(getattr(result, "ok", True)):
-        parts.append(f"<p class='failed'>{escape(result.report())}</p>")
-    parts += map(_table, in_numpy(result)._tables())
-    pictures = "".join(_figure(caption, ax) for caption, ax in _pictures(result))
-    return "".join(parts) + (f"<div class='pictures'>{pictures}</div>" if pictures else "")
+    if isinstance(result, Model) and result.gravity.ndim == 1:
+        tables = "".join(map(_table, inputs(result, words or {})))
+    elif isinstance(result, LinearSystem):
+        tables = ""  # at the end of the report
+    else:
+        tables = _tables(in_numpy(result)._tables(), words, name)
+    pictures = "".join(_figure(caption, ax, words or {}) for caption, ax in _pictures(result))
+    return (
+        f"<section id='{mark}'><h2>{escape(name)}</h2><div class='content'>"
+        + "".join(
+            f"<div class='{kind}'>{html}</div>"
+            for kind, html in (("tables", tables), ("pictures", pictures))
+            if html
+        )
+        + "</div></section>"
+    )
+
+
+def _view(results: dict[str, Any]) -> str:
+    """Return a motion, the modes or else a model in three dimensions, in a frame."""
+    from jaxbody.views import views
+
+    shown = [each for each in results.items() if isinstance(each[1], views.VIEWED)]
+    shown.sort(key=lambda each: (isinstance(each[1], ModalResult), isinstance(each[1], Trajectory)))
+    page = escape(views.view(dict(shown[-1:])).to_html(), quote=True)
+    return (
+        "<section><h2>In three dimensions</h2><iframe title='View in three dimensions' "
+        f'sandbox="allow-scripts" srcdoc="{page}"></iframe></section>'
+    )
 
 
 def _pictures(result: Any) -> Pictures:
@@ -174,28 +258,48 @@ def _pictures(result: Any) -> Pictures:
         yield f"Not drawn: {error}", None
 
 
-def _figure(caption: str, ax: Any) -> str:
+def _figure(caption: str, ax: Any, words: Words) -> str:
     if ax is None:
         return f"<p class='note'>{escape(caption)}</p>"
+    label_in(ax.figure, words)
     return (
         f"<figure><img src='{_image(ax)}' "
         f"alt='{escape(caption)}'><figcaption>{escape(caption)}</figcaption></figure>"
     )
 
 
+def _tables(shown: Iterable[PrintedTable], words: Words | None, heading: str = "") -> str:
+    """Return the HTML of tables, each broken up so that it fits on paper; a title that repeats the
+    heading is left out."""
+    parts = [part for table in shown for part in fitting(table, words)]
+    return "".join(
+        _table(replace(part, title=part.title * (part.title != heading))) for part in parts
+    )
+
+
 def _table(table: PrintedTable) -> str:
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
-    head = "".join(f"<th scope='col'>{escape(column)}</th>" for column in table.columns)
+    cells = [[number(cell) for cell in row] for row in table.rows]
+    kinds = [
+        " class='text'" * (not i or not all(NUMERIC.match(row[i]) for row in cells))
+        for i in range(len(table.columns))
+    ]
+    head = "".join(
+        f"<th scope='col'{kind}>{INSIDE_UNIT.sub('&nbsp;', escape(column))}</th>"
+        for column, kind in zip(table.columns, kinds, strict=True)
+    )
     rows = [
-        f"<tr><th scope='row'>{escape(number(row[0]))}</th>"
-        + "".join(f"<td>{escape(number(cell))}</td>" for cell in row[1:])
+        f"<tr><th scope='row' class='text'>{escape(row[0])}</th>"
+        + "".join(
+            f"<td{kind}>{escape(cell)}</td>" for cell, kind in zip(row[1:], kinds[1:], strict=True)
+        )
         + "</tr>"
-        for row in table.rows
+        for row in cells
     ]
     note = f"<p class='note'>{escape(table.note)}</p>" if table.note else ""
     return (
-        "<div "
-        f"class='table'><table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+        f"<div class='table'><table>{caption}<thead><tr>{head}</tr></thead>"
+        f"<tbody>{''.join(rows)}</tbody></table></div>{note}"
     )
 
 

@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.core.arrays import indices
 from jaxbody.core.datasets import Labeled, frame_of
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
+from jaxbody.core.printed_tables import Words, printed_unit, unit_words
 from jaxbody.core.source_files import writing
-from jaxbody.core.tables import PrintedTable, in_numpy
+from jaxbody.core.tables import PrintedTable, in_numpy, tables_in
 from jaxbody.records.text_tables import split_unit
+from jaxbody.views.plots.plot_units import label_in
 
 
 def over_frequency(response: Any) -> PrintedTable:
@@ -25,7 +28,7 @@ def over_frequency(response: Any) -> PrintedTable:
             value, unit = np.asarray(response[output, name]), response.unit(output, name)
             columns |= {
                 f"{output} / {name} [{unit or '1'}]": np.abs(value),
-                f"phase of {output} / {name} [rad]": np.angle(value),
+                f"phase of {output} / {name} [deg]": np.degrees(np.angle(value)),
             }
     return series(columns)
 
@@ -39,32 +42,44 @@ def densities(response: Any) -> PrintedTable:
 
 def by_case(cases: Any) -> PrintedTable:
     """Return a table with a row for each load case and a column for each number."""
+    moves = "displacement", cases.displacements, cases.rotations
+    columns = _columns(cases.unloaded.model, moves, cases.strokes, cases.forces)
+    rows = [(name, *x) for name, x in zip(cases.names, series(columns).rows, strict=True)]
+    return PrintedTable("", ("case", *columns), rows)
+
+
+def _columns(
+    model: Any, moves: tuple[str, Any, Any], strokes: dict[str, Any], forces: dict[str, Any]
+) -> dict[str, Any]:
+    """Return a column for each number: of positions or displacements, by their word, and rotations
+    of bodies, and of strokes and forces of elements."""
     from jaxbody.views.plots.motion_plots import components, forces_and_moments  # slow to import
 
+    word, positions, rotations = moves
     (strokes, turns), (forces, moments) = (
-        forces_and_moments(cases.unloaded.model, x, "") for x in (cases.strokes, cases.forces)
+        forces_and_moments(model, x, "") for x in (strokes, forces)
     )
     parts = {
-        "displacement of {} [m]": components(cases.displacements),
-        "rotation of {} [rad]": components(cases.rotations),
+        word + " of {} [m]": components(positions),
+        "rotation of {} [rad]": components(rotations),
         "stroke of {} [m]": strokes,
         "turn of {} [rad]": turns,
         "force of {} [N]": forces,
         "moment of {} [N m]": moments,
     }
-    columns = {label.format(name): x for label, of in parts.items() for name, x in of.items()}
-    rows = [(name, *x) for name, x in zip(cases.names, series(columns).rows, strict=True)]
-    return PrintedTable("", ("case", *columns), rows)
+    return {label.format(name): x for label, of in parts.items() for name, x in of.items()}
 
 
 def over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
-    """Return a table over time: positions of bodies and supports, forces of elements, readings of
-    sensors."""
-    columns = {"time [s]": trajectory.times}
-    for name, pose in trajectory.poses.items():
-        columns |= {f"{name} {axis} [m]": np.asarray(pose.p)[:, i] for i, axis in enumerate("xyz")}
-    for name, force in trajectory.forces.items():
-        columns |= {f"force of {name} [N]": force} if np.ndim(force) == 1 else {}
+    """Return a table over time: positions and rotations of bodies and supports, deformations and
+    forces of elements, readings of sensors."""
+    poses = trajectory.poses
+    positions = {name: pose.p for name, pose in poses.items()}
+    rotations = {
+        name: Rotation.from_matrix(np.asarray(pose.R)).as_rotvec() for name, pose in poses.items()
+    }
+    moves, columns = ("position", positions, rotations), {"time [s]": trajectory.times}
+    columns |= _columns(trajectory.model, moves, trajectory.elongations, trajectory.forces)
     for name, reading in (jb.measure(trajectory, sensors) if sensors else {}).items():
         unit = sensors[name].unit_on(trajectory.model)
         parts = np.asarray(reading).reshape(len(trajectory.times), -1).T
@@ -82,21 +97,23 @@ def series(columns: dict[str, Any]) -> PrintedTable:
     )
 
 
-def save(outcome: Any, path: Path) -> None:
-    """Save an outcome in the format of the path's extension. Errors: UNKNOWN_FORMAT,
-    MISSING_EXTRA, NOT_SAVED."""
+def save(outcome: Any, path: Path, units: Any) -> None:
+    """Save an outcome in the format of the path's extension; text tables and pictures are in these
+    units, other formats in SI. Errors: UNKNOWN_FORMAT, MISSING_EXTRA, NOT_SAVED."""
     with writing(path):
         match path.suffix:
             case ".csv":
-                path.write_text("\n".join(map(_text, _tables(outcome))), encoding="utf-8")
+                path.write_text("\n".join(map(_text, _tables(outcome, units))), encoding="utf-8")
             case ".parquet":
                 import_extra("pyarrow.parquet", "--out").write_table(_arrow(_frame(outcome)), path)
             case ".nc":
                 _dataset(outcome).to_netcdf(path, engine="scipy")
             case ".html":
                 outcome.view().save(path)
-            case _ if outcome.draw is not None:
-                outcome.draw().figure.savefig(path, dpi=130)
+            case _ if draw := outcome.draw or getattr(outcome.results[0], "plot", None):
+                figure = draw().figure
+                label_in(figure, unit_words(units))
+                figure.savefig(path, dpi=130)
             case _:
                 raise JaxbodyError(
                     Problem(
@@ -109,17 +126,36 @@ def save(outcome: Any, path: Path) -> None:
                 )
 
 
-def _tables(outcome: Any) -> list[PrintedTable]:
-    """Return the tables of an outcome."""
-    made = outcome.text or outcome.series
-    if made:
-        return [made()]
-    return [
+def _tables(outcome: Any, units: Any) -> list[PrintedTable]:
+    """Return the tables of an outcome in these units."""
+    if outcome.series:
+        return [_series_in(outcome.series(), unit_words(units))]
+    if outcome.text:
+        return tables_in([outcome.text()], units)
+    tables = [
         table
         for result in outcome.results
         if hasattr(result, "_tables")
         for table in in_numpy(result)._tables()
     ]
+    return tables_in(tables, units)
+
+
+def _series_in(table: PrintedTable, words: Words) -> PrintedTable:
+    """Return a series in printed units: the first column as it is, the others with six significant
+    digits of each number and of the variation of its column, so that it may serve as a record."""
+    heads, columns = [], []
+    for head, column in zip(table.columns, np.array(table.rows, float).T, strict=True):
+        name, unit = split_unit(head)
+        unit, factor = printed_unit(unit or "", words)
+        heads.append(f"{name} [{unit}]" if unit else head)
+        columns.append(column * factor)
+    columns[0] = [float(f"{x:.8g}") for x in columns[0].tolist()]
+    for i, column in enumerate(columns[1:], start=1):
+        sizes = np.minimum(np.abs(column), np.ptp(column) or np.inf)
+        digits = 5 - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0)))
+        columns[i] = [round(x, int(n)) + 0.0 for x, n in zip(column.tolist(), digits, strict=True)]
+    return PrintedTable(table.title, tuple(heads), [*zip(*columns, strict=True)], table.note)
 
 
 def _labeled(outcome: Any) -> Labeled:

@@ -23,7 +23,8 @@ BAD_COMPONENT: a component is missing or does not exist -> give one of those tha
 BAD_DELAY: a delay is longer than the record -> give it in seconds
 BAD_DIRECTION: up or forward is missing, unknown, or both are the same -> give two different axes,
     such as up="z", forward="x"
-BAD_END: an end of an element or sensor is not a name and a point -> give ("body", [x, y, z])
+BAD_END: an end of an element or sensor is neither a name nor a name and a point -> give "body" or
+    ("body", [x, y, z])
 BAD_FOOTPRINT: the length of a contact patch is negative -> give 0 or more, in meters
 BAD_FREQUENCY: a frequency is zero or negative where it must not be -> leave it out, or start above
     it

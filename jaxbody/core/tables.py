@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import wraps
 from html import escape
 from types import MethodType
@@ -16,20 +15,11 @@ import numpy as np
 
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.late_binding import handed_down
+from jaxbody.core.printed_tables import PrintedTable, in_units, unit_words
 
 MOST_ROWS = 400  # of a table that are printed
+WIDEST = 120  # characters of a line of a table in text
 ROUND_OFF = 1e-8  # smaller shares are not printed
-
-
-@dataclass
-class PrintedTable:
-    """A title, the headings of the columns, and rows of names and numbers; `note` is
-    printed below."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: list[tuple[Any, ...]]
-    note: str = ""
 
 
 class PlotMethod:
@@ -51,9 +41,20 @@ class Printed(ABC):
     def _tables(self) -> list[PrintedTable]:
         """Return the tables that are printed."""
 
-    def summary(self) -> str:
-        """Return the tables as text, as `print` shows them; some classes add more."""
-        return repr(self)
+    def _summary_tables(self) -> list[PrintedTable]:
+        """Return the tables of `summary`: those that are printed; some classes add more."""
+        return in_numpy(self)._tables()
+
+    def summary(self, *, units: Any = None) -> str:
+        """Return the tables as text, with more than `print` shows for some classes.
+
+        Args:
+            units: None: SI; "mm": mm and deg; or those of a model file, `study.printed_units`. In
+                other units than None, four significant digits and one number in a cell
+
+        Errors: UNKNOWN_NAME, UNKNOWN_UNIT."""
+        shown = self._summary_tables()
+        return text(*shown if units is None else tables_in(shown, units))
 
     def __repr__(self) -> str:
         return text(*in_numpy(self)._tables())
@@ -63,6 +64,12 @@ class Printed(ABC):
 
     def _repr_html_(self) -> str:
         return html(*in_numpy(self)._tables())
+
+
+def tables_in(shown: list[PrintedTable], units: Any) -> list[PrintedTable]:
+    """Return tables in other units than SI, those of `Printed.summary`."""
+    words = unit_words(units)
+    return [part for table in shown for part in in_units(table, words)]
 
 
 def summarized(title: str, ndim: int, **heads: str) -> Callable:
@@ -163,14 +170,19 @@ def text(*shown: PrintedTable) -> str:
 def _lines(table: PrintedTable) -> list[str]:
     cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
     widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
-    aligned = [
-        [
-            cell.rjust(width) if i else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
+    names = [0, 1] if table.columns[1:2] == ("part",) else [0]
+    blocks = [list(names)]  # columns below each other where the table is too wide
+    for i, width in enumerate(widths[len(names) :], start=len(names)):
+        full = sum(widths[j] + 2 for j in blocks[-1]) + 2 + width > WIDEST
+        if full and len(blocks[-1]) > len(names):
+            blocks.append(list(names))
+        blocks[-1].append(i)
+    lines = [
+        "  " + "  ".join(row[i].rjust(widths[i]) if i else row[i].ljust(widths[i]) for i in block)
+        for block in blocks
         for row in cells
     ]
-    lines = ["  " + "  ".join(row).rstrip() for row in aligned] + (
+    lines = [line.rstrip() for line in lines] + (
         ["  " + _rest(table)] if len(table.rows) > MOST_ROWS else []
     )
     return [line for line in (table.title, *lines, table.note) if line]

@@ -330,7 +330,8 @@ def _power(
 
 
 def _unknown(name: str, written: str, where: str) -> JaxbodyError:
-    near = difflib.get_close_matches(name, KNOWN, 3, 0.6)
+    near = [known for known in KNOWN if known.lower() == name.lower()]
+    near = near or difflib.get_close_matches(name, KNOWN, 3, 0.6)
     hint = (
         f"Did you mean {TWOFOLD[name]}?"
         if name in TWOFOLD

@@ -110,7 +110,8 @@ class Tuning(Labeled, Result):
     {limited quantity or parameter at its bound: shadow price, d objective/d limit}; `words`, the
     effect of one percent more of each limit; `history` (evaluations, 2) of the objective and the
     violation of limits; `evaluations`; all starts in `runs`; `places` {parameter: "at its bound",
-    "from its catalogue" or "unbounded"}. `status` is INFEASIBLE if limits are violated, listed in
+    "from its catalogue" or "unbounded"}; `units` {quantity: its SI unit}, of designs in files.
+    `status` is INFEASIBLE if limits are violated, listed in
     `unmet`, or NOT_CONVERGED, with a `remedy`.
 
     >>> import inspect
@@ -127,6 +128,7 @@ class Tuning(Labeled, Result):
     active: tuple[str, ...]
     words: tuple[str, ...]
     places: dict[str, str] = eqx.field(static=True)
+    units: dict[str, str] = eqx.field(static=True)
     unmet: tuple[str, ...]
     history: Float[np.ndarray, "k 2"]
     evaluations: int
@@ -180,9 +182,15 @@ class Tuning(Labeled, Result):
                 for (name, label, *pair), unit in zip(numbers, units, strict=True)
             ]
         quantities = [
-            (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
+            (label, *pair, self.units.get(name, ""), _limit(self.limits.get(name)))
             for name, before in self.before.items()
             for _, label, *pair in _each(name, name, before, self.after[name])
+        ]
+        objective = self.units.get(self.minimize, "")
+        prices = [
+            (label, self.multipliers[label], f"{objective} per {unit}" if unit else objective)
+            for label, *_, unit, _ in quantities
+            if label in self.multipliers
         ]
         note = "\n".join(
             [
@@ -193,14 +201,20 @@ class Tuning(Labeled, Result):
                 ),
             ]
         )
-        heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
+        tail = [
+            tables.PrintedTable("", ("quantity", "before", "after", "unit", "limit"), quantities),
+            tables.PrintedTable(
+                "", ("limit", f"{self.minimize} per unit of the limit", "unit"), prices
+            ),
+        ][: 1 + bool(prices)]
+        tail[-1].note = note
         return [
             tables.PrintedTable(
-                f"Design with the least {self.minimize}",
+                f"Design that minimizes {self.minimize}",
                 ("parameter", "before", "after", "unit", ""),
                 rows,
             ),
-            tables.PrintedTable("", heads, [row[1:] for row in quantities], note),
+            *tail,
         ]
 
 
@@ -336,6 +350,7 @@ def tuning_of(
             constraint.effect(program.minimize, best.objective) for constraint in constraints
         ),
         places=_places(space, best),
+        units=getattr(program.evaluate, "units", {}),
         unmet=_unmet(program, best.values),
         history=np.array(best.history).reshape(-1, 2),
         evaluations=program.count,
@@ -370,9 +385,10 @@ class ActiveConstraint:
     at: float
     price: float
     sign: str
+    unit: str
 
     def __str__(self) -> str:
-        return f"{self.name} {self.sign} {self.at:.6g}"
+        return f"{self.name} {self.sign} {self.at:.6g} {self.unit}".rstrip()
 
     def effect(self, objective: str, f: float) -> str:
         """Return the effect of one percent more of the limit, as text."""
@@ -388,7 +404,7 @@ def _active_constraints(
     program: Program, best: Search, prices: Multipliers
 ) -> list[ActiveConstraint]:
     rows, space, labels = program.rows, program.space, program.labels()
-    constraints = []
+    units, constraints = getattr(program.evaluate, "units", {}), []
     for row, lower, upper, price in zip(
         rows.limited, rows.lower, rows.upper, prices.limits, strict=True
     ):
@@ -399,15 +415,20 @@ def _active_constraints(
                     float(lower if price > 0 else upper),
                     float(price),
                     "=" if lower == upper else ">=" if price > 0 else "<=",
+                    units.get(labels[row].partition("[")[0], ""),
                 )
             )
     numbers, slopes = space.numbers(best.u)
-    for name, x, slope, price, chosen in zip(
-        space.labels, numbers, slopes, prices.bounds, best.low == best.high, strict=True
-    ):
-        if price and not chosen:
+    of_space = []
+    for parameter in space.parameters:  # an inertia or a quaternion has fewer u than numbers
+        each, count = space.units(parameter), len(parameter.form.labels())
+        of_space += each if len(each) == count else [""] * count
+    chosen = best.low == best.high
+    for i, (x, slope, price) in enumerate(zip(numbers, slopes, prices.bounds, strict=True)):
+        if price and not chosen[i]:
+            sign = ">=" if price > 0 else "<="
             constraints.append(
-                ActiveConstraint(name, float(x), float(price / slope), ">=" if price > 0 else "<=")
+                ActiveConstraint(space.labels[i], float(x), float(price / slope), sign, of_space[i])
             )
     return constraints
 

@@ -57,7 +57,11 @@ class Document:
         for entry in around:
             if entry in self.replaced:
                 return f"{self.name} with {self.replaced[entry]}"
-        line = next((f":{self.lines[entry]}" for entry in around if entry in self.lines), "")
+        line = next((self.lines[entry] for entry in around if entry in self.lines), None)
+        if line is None:  # of a section that only entries below it open, [element.fl]
+            below = (n for entry, n in self.lines.items() if entry[: len(path)] == path)
+            line = next(below, None)
+        line = "" if line is None else f":{line}"
         return f"{self.name}{line} {shown(path)}".rstrip()
 
 

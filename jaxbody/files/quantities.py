@@ -20,6 +20,7 @@ from typing import Any
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.core.printed_tables import printed_unit
 
 LONGEST = 10_000  # largest number of characters of one quantity
 NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
@@ -201,16 +202,18 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
     value = math.inf if too_large else float(value)
     if dimension == units.NONE or value == 0 or not math.isfinite(value):
         return value
-    si = units.si_words(dimension)
+    si = unit if unit in units.KNOWN else units.si_words(dimension)
     if expected.system is None:
+        usual, _ = printed_unit(si, {"m": "mm", "rad": "deg"})
         raise JaxbodyError(
             Problem(
                 "NO_UNIT",
                 expected.where,
                 f"is {value:g} without a unit",
                 value,
-                f"a unit such as {si}",
-                f'Write "{value:g} {si}", or units = "SI" at the top of the file.',
+                f"a unit such as {usual}",
+                f'Write "{value:g} {usual}", or state units = "SI", or units = {{length = "mm", '
+                'mass = "kg", force = "N", time = "s", angle = "deg"}, at the top of the file.',
             )
         )
     meant = times(value, expected.system.factor(unit))

@@ -293,7 +293,7 @@ class Fit(Labeled, Result):
         if int(self.status) not in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
             notes += u.words
         return [
-            tables.PrintedTable("Fit", heads, rows),
+            tables.PrintedTable("Fit", heads, rows, digits=6),  # errors may be small
             tables.PrintedTable(
                 "", ("sensor", "rms residual", "unit"), residuals, "\n".join(notes)
             ),

@@ -258,7 +258,7 @@ class Equation(Closure):
 
     def __init__(self, function: Callable[..., Any], between: tuple[str, str]):
         with Problems() as problems:
-            self.between, (self.a, self.b) = ends(between, "Equation", problems, points=False)
+            self.between, (self.a, self.b) = ends(between, "Equation", problems)
         self.function = function
         pose = Pose(jnp.zeros(3), jnp.eye(3))
         values = jax.eval_shape(lambda A, B: jnp.atleast_1d(function(A, B)), pose, pose)

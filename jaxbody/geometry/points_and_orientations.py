@@ -68,13 +68,13 @@ def direction(given, where: str, problems: Problems) -> Any:
     return np.eye(3)["xyz".find(given)]
 
 
-def ends(given, kind: str, problems: Problems, *, points: bool = True):
-    """Return ((name, ...), [point, ...]) of (name, point) pairs; if `points` is False, a pair may
-    be a name alone. Errors: BAD_END, SELF_SPRING."""
+def ends(given, kind: str, problems: Problems):
+    """Return ((name, ...), [point, ...]) of (name, point) pairs; a name alone means the origin O of
+    its frame. Errors: BAD_END, SELF_SPRING."""
     names, coordinates = [], []
     for end, order in zip(given, ORDER, strict=False):
         where = f"{kind}, {order} end"
-        if not points and isinstance(end, str):
+        if isinstance(end, str):
             end = (end, (0, 0, 0))
         if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
             problems.add(
@@ -82,8 +82,9 @@ def ends(given, kind: str, problems: Problems, *, points: bool = True):
                 where,
                 f"is {end!r:.60}",
                 value=end,
-                limit='("body", [x, y, z])',
-                hint="Give the name of a body, a support or `world`, and a point in its frame.",
+                limit='"body", or ("body", [x, y, z])',
+                hint="Give the name of a body, a support or `world`, and a point in its frame if "
+                "that is not its origin.",
             )
             end = ("?", (0, 0, 0))
         names.append(plain(end[0]))

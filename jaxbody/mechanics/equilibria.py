@@ -304,9 +304,12 @@ class Equilibrium(Labeled, Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         q, layout = tables.without_dust(self.state.q), self.layout
+        values = layout.values_by_coordinate(q) if is_concrete(q) else q
         rows = [
-            (block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]])
-            for block in layout.joints
+            (name, values[..., i], unit)
+            for i, (name, unit) in enumerate(
+                zip(layout.coordinates, layout.coordinate_units, strict=True)
+            )
         ]
         states = [
             (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
@@ -328,7 +331,7 @@ class Equilibrium(Labeled, Result):
             *([self.closed.table(self.model)] if self.closed else []),
         ]
         shown = [
-            tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
+            tables.PrintedTable("Equilibrium", ("coordinate", "at rest", "unit"), rows),
             *(table for table in further if table.rows),
         ]
         note = "\n".join([note, *self.remarks])

@@ -171,7 +171,7 @@ def element_rows(
 
 
 def labeled_elements(
-    model: Model,
+    model: Any,
     index: tuple[str, ...],
     words: tuple[str, str],
     deformations: dict[str, Array],

@@ -161,18 +161,18 @@ class LoadCases(Labeled, Result):
         rows = []
         for i, case in enumerate(self.names):
             for j, name in enumerate(self.unloaded.layout.bodies):
-                moved, turned = self.displacement_rows[i, j], self.rotation_rows[i, j]
-                rows.append(("" if j else case, name, _text(moved, 6), _text(turned, 6), "", ""))
+                moves = (self.displacement_rows[i, j], self.rotation_rows[i, j])
+                rows.append((case, name, *(_rounded(x, 6) for x in moves), "", ""))
             for name, stroke in self.strokes.items():
                 (s, turn), (f, moment) = (
                     along_and_about(self.unloaded.model, name, x[i])
                     for x in (stroke, self.forces[name])
                 )
-                turning = (_text(turn, 6), _text(moment, 1)) if np.any(moment) else ("", "")
-                rows.append(("", name, _text(s, 6), turning[0], _text(f, 1), turning[1]))
+                turning = (_rounded(turn, 6), _rounded(moment, 1)) if np.any(moment) else ("", "")
+                rows.append((case, name, _rounded(s, 6), turning[0], _rounded(f, 1), turning[1]))
         columns = (
             "case",
-            "",
+            "part",
             "displacement or stroke [m]",
             "rotation [rad]",
             "force [N]",
@@ -181,10 +181,8 @@ class LoadCases(Labeled, Result):
         return [tables.PrintedTable("Load cases", columns, rows, self.report())]
 
 
-def _text(values: Any, digits: int) -> str:
-    return (
-        "" if values is None else " ".join(f"{float(x):.{digits}f}" for x in np.atleast_1d(values))
-    )
+def _rounded(values: Any, digits: int) -> Any:
+    return "" if values is None else np.round(np.asarray(values, float), digits) + 0.0
 
 
 def load_cases(

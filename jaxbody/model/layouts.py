@@ -198,6 +198,27 @@ class Layout:
         return tuple(f"{name} {motion}" for name, motion in self.motions)
 
     @cached_property
+    def coordinate_units(self) -> tuple[str, ...]:
+        """Unit of each of the `coordinates`."""
+        return tuple(unit.removesuffix("/s") for unit in self.v_units)
+
+    def values_by_coordinate(self, q: Any) -> np.ndarray:
+        """Return q (..., nq) by `coordinates`, in NumPy: the rotation vector [rad] in place of each
+        quaternion."""
+        values = []
+        for block in self.blocks:
+            own = q[..., self.q_slices[block.owner]]
+            if block.quaternion:
+                own, turn = np.split(own, [-4], -1)
+                turn = np.where(turn[..., :1] < 0, -turn, turn)
+                half = np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), turn[..., 0])
+                own = np.concatenate(
+                    [own, 2 * turn[..., 1:] / np.sinc(half / np.pi)[..., None]], -1
+                )
+            values.append(own)
+        return np.concatenate([*values, q[..., :0]], -1)
+
+    @cached_property
     def base_coordinates(self) -> tuple[str, ...]:
         return tuple(f"{name} {motion}" for name in self.supports for motion in MOVES + TURNS)
 

@@ -8,6 +8,7 @@ with arrays.)
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -30,6 +31,9 @@ class KindTable(eqx.Module):
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
 
     def row(self, name: str) -> Any:
         """Return one row by name, with its leading batch axes."""

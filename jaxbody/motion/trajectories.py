@@ -285,7 +285,7 @@ class Trajectory(Labeled, Result):
         result = dataset(variables, coordinates, "trajectory")
         return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
-    def summary(self) -> str:
+    def _summary_tables(self) -> list[tables.PrintedTable]:
         """Return the printed table of one motion, with positions of frames, elongations and
         tensions of springs, and jumps of forces."""
         known = replace(
@@ -298,11 +298,11 @@ class Trajectory(Labeled, Result):
             for name, e in self.elongations.items()
             if e.ndim == 1
         ]
-        return tables.text(
+        return [
             *tables.in_numpy(known)._tables(),
             tables.PrintedTable("Positions", ("frame", "x [m]", "y [m]", "z [m]"), rows),
             tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs),
-        )
+        ]
 
     def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):
@@ -313,14 +313,15 @@ class Trajectory(Labeled, Result):
                     [("states", self.state.q), ("status", self.message(Trajectory._ended))],
                 )
             ]
-        layout, q = self.model.layout, self.state.q
-        ends = [f.reduce(q, 0) for f in (np.fmin, np.fmax)]
-        rows = [(name, *(end[layout.q_slices[name]] for end in ends)) for name in layout.bodies]
+        layout = self.model.layout
+        values = layout.values_by_coordinate(self.state.q)
+        ends = (f.reduce(values, 0) for f in (np.fmin, np.fmax))
+        rows = [*zip(layout.coordinates, *ends, layout.coordinate_units, strict=True)]
         jumps = [message for _, message in force_jump_messages(self.model, self.jumps, self.times)]
         note = "; ".join([self.message(Trajectory._ended), *jumps])
         span = " to ".join(time_text(t, self.times, 4) for t in (self.times[0], self.times[-1]))
         title = f"Trajectory, {len(self.times)} samples, {span} s"
-        return [tables.PrintedTable(title, ("body", "least q [m, rad, -]", "largest"), rows, note)]
+        return [tables.PrintedTable(title, ("coordinate", "least", "largest", "unit"), rows, note)]
 
 
 def _range(values: Any) -> str:

@@ -274,9 +274,9 @@ def numbers_of(
         last_good = max(
             (k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0
         )
+        commas = [next(filter(COMMA_NUMBER.fullmatch, wrong), None) for wrong in no_numbers]
         for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
-            where, wrong = f"{name}:{i}", no_numbers[k]
-            comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
+            where, wrong, comma = f"{name}:{i}", no_numbers[k], commas[k]
             if len(row) != width:
                 last = k == len(rows) - 1 and not complete and len(row) < width
                 problems.add(
@@ -292,11 +292,14 @@ def numbers_of(
                     ),
                 )
             elif comma is not None:
+                if any(commas[:k]):
+                    continue  # reported with the first line that has one
+                others = sum(map(bool, commas)) - 1
                 thousands = " If it separates thousands, write numbers without it."
                 problems.add(
                     "DECIMAL_COMMA",
                     where,
-                    f"has {comma!r}",
+                    f"has {comma!r}" + f", as {others} lines after it have" * (others > 0),
                     value=comma,
                     limit="a decimal point",
                     hint=f'It may be a decimal comma: give decimal=",", separator="{separator}".'

@@ -33,7 +33,7 @@ class Gauge(Sensor):
     def spanned(self, a: Any, b: Any, axis: Any, chain: Chain) -> None:
         kind = type(self).__name__
         with Problems() as problems:
-            self.between, (self.a, self.b) = ends((a, b), kind, problems, points=False)
+            self.between, (self.a, self.b) = ends((a, b), kind, problems)
             self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
             self.chained(problems, **chain)
 

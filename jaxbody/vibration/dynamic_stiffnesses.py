@@ -343,7 +343,7 @@ def _graded(even: Float[Array, "n"], rates: Float[Array, "m k"]) -> Float[Array,
     a step."""
     size = jnp.max(jnp.abs(rates), 0)
     around = jnp.concatenate([rates[-1:], rates, rates[:1]])
-    bend = jnp.sum(jnp.abs(jnp.diff(around, 2, axis=0)) / jnp.where(size > 0, size, 1.0), 1)
+    bend = jnp.sum(jnp.abs(jnp.diff(around, 2, axis=0)) / jnp.where(size > 0, size, 1.0)[None], 1)
     bend = (bend + jnp.roll(bend, -1)).reshape(2, -1)  # at both ends of a step
     total = jnp.sum(bend, 1, keepdims=True)
     share = jnp.where(total > 0, bend / jnp.where(total > 0, total, 1.0), 0.0) + 1 / bend.shape[1]

@@ -28,12 +28,15 @@ from jaxbody.core.arrays import (
     float_array,
     is_concrete,
 )
-from jaxbody.core.compilation.compile_options import program_with
+from jaxbody.core.compilation.compile_options import program, program_with
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known, unknown
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.vectors import rotate
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.model.inputs.loads import Unbalance
+from jaxbody.model.inputs.port_inputs import PointForce
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_memory
@@ -92,7 +95,7 @@ class FrequencyResponse(Labeled, Result):
         """Return the unit of one output per unit of one input, "" for a ratio."""
         above = self.output_units[self.outputs.index(output)]
         below = self.input_units[self.inputs.index(name)]
-        return "" if above == below else f"{above} per {below}"
+        return "" if above == below else f"{above} per {below}" if below else above
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset: the complex response by `output`, `input` and `frequency`, with
@@ -160,7 +163,8 @@ def frequency_response(
     Args:
         lin: `linearize(model, equilibrium(model))`.
         frequencies: frequencies [Hz], 0 or more, in one row.
-        inputs: {name: BaseMotion or PointForce}.
+        inputs: {name: BaseMotion, PointForce or Unbalance}; of an Unbalance, the response to it as
+            it turns with each of the frequencies, whatever its own frequency is.
         outputs: {name: sensor}, such as Position, Acceleration, Elongation, LoadCell or Reaction;
             a sensor of several numbers has the outputs "seat.x", "seat.y", "seat.z". Gain, delay
             and lag multiply a response by gain exp(-i w delay)/(1 + i w lag).
@@ -200,8 +204,13 @@ def frequency_response(
     """
     check_system(lin, "frequency_response")
     f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
+    turning = (
+        {}
+        if not isinstance(inputs, dict)
+        else {name: load for name, load in inputs.items() if isinstance(load, Unbalance)}
+    )
     (u, ins, u_units), (y, sensors, y_units) = check_ports(
-        lin, inputs, outputs, "frequency_response"
+        lin, _forces_of(lin, turning, inputs), outputs, "frequency_response"
     )
     if method not in METHODS:
         raise JaxbodyError(
@@ -218,8 +227,53 @@ def frequency_response(
     if static:
         _check_bounded_at_rest(u, ins)
     lin, eta = damped(lin, sensors, loss_factor, modal_damping, "frequency_response")
-    results = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
-    return warn_if_failed(FrequencyResponse(f, *results, u, y, u_units, y_units))
+    values, status = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
+    if turning:
+        values = _turned(f, values, u, list(inputs), turning)
+        u_units = tuple("" if name in turning else u_units[u.index(name)] for name in inputs)
+        u = tuple(inputs)
+    return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
+
+
+def _forces_of(lin: Linearization, turning: dict[str, Unbalance], inputs: Any) -> Any:
+    """Return the inputs with two forces in place of each unbalance: along n1, by its name, and
+    along n2."""
+    with Problems() as problems:
+        for name, load in turning.items():
+            known = lin.model.layout.bodies
+            if load.on not in known:
+                where = f"frequency_response.inputs[{name!r}]"
+                problems.collected.append(unknown(load.on, where, known))
+    if not turning:
+        return inputs
+    forces = {}
+    for name, load in turning.items():
+        for key, n in zip((name, (name, 2)), _perpendiculars(lin, load), strict=True):
+            forces[key] = PointForce(load.on, load.point, n)
+    return inputs | forces
+
+
+@program
+def _perpendiculars(lin: Linearization, load: Unbalance):
+    """Return n1 and n2 of an unbalance at the equilibrium, in world axes."""
+    at = configuration_at(Coordinates(lin.held), lin.state.q, base=False)
+    R = at.frames.R[lin.model.layout.frame(load.on)]
+    return tuple(rotate(R, n) for n in load.perpendiculars())
+
+
+def _turned(f: Array, values: Array, u: Any, names: list[str], turning: dict[str, Unbalance]):
+    """Return the values (ny, nu, nf) by input, for an unbalance those of its force
+    u w^2 (n1 - i n2) exp(i p)."""
+
+    def of(name: str) -> Array:
+        one = values[:, u.index(name)]
+        if name not in turning:
+            return one
+        load, two = turning[name], values[:, u.index((name, 2))]
+        size = load.unbalance * (2 * jnp.pi * f) ** 2
+        return size * jnp.exp(1j * load.phase) * (one - 1j * two)
+
+    return jnp.stack([of(name) for name in names], 1)
 
 
 def damped(

@@ -16,10 +16,41 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.app import commands
+from jaxbody.files.writers import toml_of, values_of
 
 NAMES = list(commands.COMMANDS)
 
+STUDY = """
+[motion]
+road = {type = "Harmonic", frequency = "1.5 Hz", translation = "0, 0, 5 mm"}
 
+[sensors]
+reading = {type = "Position", on = "body", axis = "z"}
+
+[designs.first]
+free = ["suspension.stiffness"]
+minimize = "bounce"
+limits = {sag = ["-120 mm", inf]}        # lower and upper
+bounds = {"suspension.stiffness" = ["10 N/mm", "90 N/mm"]}
+[designs.first.quantities]
+bounce = {type = "frequency", mode = 1}
+sag = {type = "deflection", on = "suspension"}  # negative in compression
+
+# [records.run1]
+# file = "run1.csv"
+# time = "t"
+# channels = {reading = "x", base = "base"}
+# [experiments.run1]
+# record = "run1"                        # a channel is read by the sensor of the same name
+# initial = "rest"
+# motion.road = {type = "Sampled", record = "run1", translation = "base", axis = "z"}
+# [experiments.modal]
+# type = "MeasuredModes"
+# frequency = "1.41, 8.8 Hz"
+# noise = {frequency = "0.02 Hz"}
+# [fit]
+# free = ["suspension.stiffness"]
+"""
 DESIGN = """
 [sensors.seat]
 type = "Acceleration"
@@ -74,19 +105,16 @@ def uncommented(text, without="nothing"):
 
 @pytest.fixture(scope="module")
 def texts():
-    """The files of two ready models, and of a car with a record, an experiment and a design."""
-    printed = {}
-    for name in ("engine", "quarter_car"):
-        with contextlib.redirect_stdout(io.StringIO()) as out:
-            assert commands.main(["new", name]) == 0
-        printed[name] = out.getvalue()
-    text = printed["quarter_car"]
+    """The files of an engine and a car, and the car with a record, an experiment and a design."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert commands.main(["new", "engine"]) == 0
+    text = toml_of(values_of(jb.presets.quarter_car()), units=True) + STUDY
     measured = uncommented(text, without="[experiments.modal]")
     measured = (
         measured.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0")
         + DESIGN
     )
-    return {"engine.toml": printed["engine"], "car.toml": text, "measured.toml": measured}
+    return {"engine.toml": out.getvalue(), "car.toml": text, "measured.toml": measured}
 
 
 @pytest.fixture(autouse=True)
@@ -98,6 +126,7 @@ def folder(tmp_path, monkeypatch, texts, record):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")  # of a record of a softer car
 @pytest.mark.parametrize("name", NAMES)
 def test_the_example_of_each_command_runs(name, capsys, folder):
     _, *words = shlex.split(commands.COMMANDS[name].example)
@@ -109,73 +138,6 @@ def test_the_example_of_each_command_runs(name, capsys, folder):
     with pytest.raises(SystemExit):
         commands.main([name, "--help"])
     assert commands.COMMANDS[name].example in capsys.readouterr().out
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", dir(jb.presets))
-def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
-    assert commands.main(["new", name]) == 0
-    (folder / "model.toml").write_text(capsys.readouterr().out)
-    model, again = getattr(jb.presets, name)(), jb.read_model("model.toml")
-    assert jb.parameter_paths(model).keys() == jb.parameter_paths(again).keys()
-    assert all(
-        np.array_equal(x, jb.parameter_paths(again)[path])
-        for path, x in jb.parameter_paths(model).items()
-    )
-    assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", dir(jb.presets))
-def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, folder):
-    assert commands.main(["new", name]) == 0
-    text = capsys.readouterr().out
-    (folder / "model.toml").write_text(uncommented(text))
-    heads = re.search(r"with the columns (.*)", text)[1].split(", ")
-    rows = [
-        ",".join(f"{x!r}" for x in (t, *[0.1 * t] * (len(heads) - 1))) for t in (0.0, 0.1, 0.2, 0.3)
-    ]
-    (folder / "run1.csv").write_text("\n".join([",".join(heads), *rows]))
-    assert (
-        commands.main(["check", "model.toml"]) == 0 and "2 experiments" in capsys.readouterr().out
-    )
-    study = jb.read_study("model.toml")
-    assert set(study.experiments) == {"run1", "modal"} and study.fit["free"]
-    measured = study.experiments["modal"].measured["frequency"]
-    np.testing.assert_allclose(
-        jb.modes(jb.linearize(study.model, study.model.reference)).frequency[:2],
-        measured,
-        atol=0.006,
-    )  # two decimals
-    assert all(jb.parameter_paths(study.model, path) for path in study.fit["free"])
-
-
-WITHOUT_DESIGN = ("double_pendulum", "full_car_on_double_wishbones")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", [name for name in dir(jb.presets) if name not in WITHOUT_DESIGN])
-def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
-    assert commands.main(["new", name]) == 0
-    (folder / "model.toml").write_text(capsys.readouterr().out)
-    assert commands.main(["tune", "model.toml", "--write"]) == 0
-    said = capsys.readouterr()
-    assert "best of 1 starts; ok" in said.out and "wrote model.toml" in said.out and not said.err
-    tuned, before = jb.read_model("model.toml"), getattr(jb.presets, name)()
-    assert any(
-        not np.array_equal(x, jb.parameter_paths(before)[path])
-        for path, x in jb.parameter_paths(tuned).items()
-    )
-
-
-@pytest.mark.long
-def test_new_without_a_name_lists_the_ready_models(capsys):
-    assert commands.main(["new"]) == 0
-    assert set(dir(jb.presets)) == set(
-        re.findall(r"\w+", capsys.readouterr().out.partition(":")[2])
-    )
-    assert commands.main(["new", "quarter_cat"]) == 2
-    assert "Did you mean 'quarter_car'?" in capsys.readouterr().err
 
 
 SHEET = """name; a; b; x [mm]; y [mm]; z [mm]; kx [N/mm]; ky [N/mm]; kz [N/mm]; rz [deg]; cz [N s/mm]; krx; kry; krz
@@ -242,13 +204,6 @@ def test_a_data_sheet_without_names_of_bodies_is_of_an_engine_on_a_frame(capsys,
     assert jb.read_model("mounts.toml")["m"].between == ("engine", "frame")
 
 
-def test_a_new_engine_has_no_gravity_and_its_file_says_so(texts):
-    assert (
-        "\ngravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model\n"
-        in texts["engine.toml"]
-    )
-
-
 @pytest.mark.long
 def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     before = (folder / "measured.toml").read_text()
@@ -270,7 +225,7 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     (folder / "before.toml").write_text(before)
     study = jb.read_study("before.toml")
     fit = jb.fit(study.model, study.experiments, free="suspension.stiffness")
-    assert str(fit) in said and "wrote measured.toml" in said
+    assert fit.summary(units="SI") in said and "wrote measured.toml" in said
     estimate = float(fit.estimates["suspension.stiffness"])
     assert abs(estimate / 30000 - 1) < 0.01  # noise of 0.1 mm in motions of 10 mm
     changed = [
@@ -296,7 +251,7 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
             "frequency [Hz]",
         ),
         (["load-cases", "car.toml", "--case", "bump=0,0,3"], "load_factor", "case"),
-        (["simulate", "car.toml", "--duration", "0.1"], "body z [m]", "time [s]"),
+        (["simulate", "car.toml", "--duration", "0.1"], "position of body z [m]", "time [s]"),
     ],
 )
 def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, folder):
@@ -312,7 +267,9 @@ def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, f
     assert label in (frame.index.name, *frame.columns)
     if "[" in label:
         head, *rows = [row.split(",") for row in (folder / "numbers.csv").read_text().splitlines()]
-        np.testing.assert_array_equal(np.array(rows, float)[:, head.index(column)], read)
+        found = np.array(rows, float)[:, head.index(column)]
+        # four digits of each number and of their variation
+        np.testing.assert_allclose(found, read, rtol=5e-4, atol=5e-4 * np.ptp(read))
 
 
 @pytest.mark.long
@@ -326,7 +283,11 @@ def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
         commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.csv"])
         == 0
     )
-    columns = {"z": ("body z", "m"), "force": ("force of tyre", "N"), "acc": ("seat", "m/s2")}
+    columns = {
+        "z": ("position of body z", "m"),
+        "force": ("force of tyre", "N"),
+        "acc": ("seat", "m/s2"),
+    }
     in_parquet = {name: f"{column} [{unit}]" for name, (column, unit) in columns.items()}
     records = [
         jb.read_record("motion.parquet", time="time [s]", channels=in_parquet),
@@ -338,7 +299,8 @@ def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
     ]
     assert records[0].units == records[1].units == {"z": "m", "force": "N", "acc": "m/s2"}
     for name in columns:
-        np.testing.assert_array_equal(records[0][name], records[1][name])
+        one, two = records[0][name], records[1][name]  # the text has four digits
+        np.testing.assert_allclose(two, one, rtol=5e-4, atol=5e-4 * np.ptp(one))
     assert commands.main(["modes", "measured.toml", "--out", "modes.parquet"]) == 0
     fields = parquet.read_schema("modes.parquet")
     stated = {
@@ -428,13 +390,13 @@ def test_a_fit_is_validated_by_the_experiments_that_are_held_out(capsys, folder)
     validation = jb.validate(
         jb.fit(study.model, study.experiments, free="suspension.stiffness"), study.held_out
     )
-    assert alone in said and str(validation) in said and "run2.reading" not in alone
+    assert alone in said and validation.summary(units="SI") in said and "run2.reading" not in alone
     (row,) = [
         line
         for line in (folder / "fit.csv").read_text().splitlines()
         if line.startswith("run2.reading,")
     ]
-    assert float(row.split(",")[3]) == pytest.approx(validation.rms["run2.reading"], rel=1e-5)
+    assert float(row.split(",")[3]) == pytest.approx(validation.rms["run2.reading"], rel=5e-4)
     assert (
         commands.main(
             [
@@ -501,7 +463,7 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "words", ["show", "modes --draw 2", "simulate --duration 0.2", "equilibrium"]
+    "words", ["show", "modes --mode 2", "simulate --duration 0.2", "equilibrium"]
 )
 def test_a_page_in_three_dimensions_is_saved(words, capsys, folder):
     pytest.importorskip("viser")
@@ -534,7 +496,8 @@ def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
     columns = dict(
         zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True)
     )
-    assert len(rows) == 11 and np.array_equal(columns["reading [m]"], columns["body z [m]"])
+    assert len(rows) == 11
+    assert np.array_equal(columns["reading [m]"], columns["position of body z [m]"])
 
 
 def test_the_numbers_are_those_of_python(capsys, folder):
@@ -546,7 +509,7 @@ def test_the_numbers_are_those_of_python(capsys, folder):
     )
     model = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 3e4})
     modes = jb.modes(jb.linearize(model, jb.equilibrium(model)))
-    assert str(modes) in capsys.readouterr().out
+    assert modes.summary(units="SI") in capsys.readouterr().out
     rows = [
         line.split(",")
         for line in (folder / "modes.csv").read_text().splitlines()
@@ -554,8 +517,8 @@ def test_the_numbers_are_those_of_python(capsys, folder):
     ]
     column = rows[0].index("frequency [Hz]")
     np.testing.assert_allclose(
-        [float(row[column]) for row in rows[1:]], modes.frequency, rtol=1e-12
-    )
+        [float(row[column]) for row in rows[1:]], modes.frequency, rtol=5e-4
+    )  # four digits
 
 
 def test_the_motion_is_that_of_python(folder):
@@ -572,11 +535,16 @@ def test_the_motion_is_that_of_python(folder):
     table = np.genfromtxt(
         folder / "motion.csv", delimiter=",", comments="#", names=True, deletechars=""
     )
-    np.testing.assert_allclose(table["body_z_[m]"], expected.poses["body"].p[:, 2], rtol=1e-12)
+    z = np.asarray(expected.poses["body"].p[:, 2])
+    span = np.ptp(z)  # four digits of the variation, as of the numbers
+    np.testing.assert_allclose(table["position_of_body_z_[m]"], z, atol=1e-3 * span)
     np.testing.assert_allclose(
-        table["road_z_[m]"], 0.005 * np.cos(4 * np.pi * table["time_[s]"]), atol=1e-15
+        table["position_of_road_z_[m]"], 0.005 * np.cos(4 * np.pi * table["time_[s]"]), rtol=5e-4
     )
-    np.testing.assert_allclose(table["force_of_tyre_[N]"], expected.forces["tyre"], rtol=1e-9)
+    np.testing.assert_allclose(table["force_of_tyre_[N]"], expected.forces["tyre"], rtol=5e-4)
+    np.testing.assert_allclose(
+        table["stroke_of_suspension_[m]"], expected.elongations["suspension"], atol=1e-3 * span
+    )
 
 
 def test_the_response_is_that_of_python(folder):
@@ -592,8 +560,11 @@ def test_the_response_is_that_of_python(folder):
         "body", "road"
     ]
     table = np.loadtxt(folder / "response.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(table[:, 0], f, rtol=1e-15)
-    np.testing.assert_allclose(table[:, 1] * np.exp(1j * table[:, 2]), expected, rtol=1e-12)
+    np.testing.assert_allclose(table[:, 0], f, rtol=1e-7)
+    # four digits of size and phase [deg]
+    np.testing.assert_allclose(
+        table[:, 1] * np.exp(1j * np.radians(table[:, 2])), expected, rtol=3e-3
+    )
 
 
 @pytest.mark.long
@@ -613,11 +584,11 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
         *ports,
         {"road.z": jb.vibration.RoadRoughness.iso("C").at_speed(15.0)},
     )
-    assert str(expected) in capsys.readouterr().out
+    assert expected.summary(units="SI") in capsys.readouterr().out
     table = np.loadtxt(folder / "psd.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(
-        table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=1e-9
-    )
+        table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=5e-4
+    )  # four digits
     assert (
         commands.main(
             ["load-cases", "car.toml", *damped, "--case", "bump=0,0,2", "--out", "cases.csv"]
@@ -625,13 +596,16 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
         == 0
     )
     cases = jb.load_cases(car, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})
-    assert str(cases) in capsys.readouterr().out
+    assert cases.summary(units="SI") in capsys.readouterr().out
     (row,) = csv.DictReader((folder / "cases.csv").read_text().splitlines())
-    assert row["case"] == "bump" and float(row["displacement of body z [m]"]) == float(
-        cases.displacements["body"][0, 2]
-    )
-    assert float(row["stroke of tyre [m]"]) == float(cases.strokes["tyre"][0])
-    assert float(row["force of suspension [N]"]) == float(cases.forces["suspension"][0])
+    expected = {
+        "displacement of body z [m]": cases.displacements["body"][0, 2],
+        "stroke of tyre [m]": cases.strokes["tyre"][0],
+        "force of suspension [N]": cases.forces["suspension"][0],
+    }
+    assert row["case"] == "bump"
+    for head, value in expected.items():
+        np.testing.assert_allclose(float(row[head]), value, rtol=5e-4)  # four digits
     words = ["report", "car.toml", *damped, "--part", "load-cases", "--out", "cases.html"]
     assert commands.main(words) == 2 and "--case: is missing" in capsys.readouterr().err
     assert commands.main([*words, "--case", "bump=0,0,2"]) == 0
@@ -643,6 +617,17 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
         with pytest.raises(SystemExit):
             commands.main(["load-cases", "car.toml", "--case", wrong])
         assert "name and three numbers" in capsys.readouterr().err
+
+
+def test_one_law_of_several_is_set(capsys, folder):
+    words = ["show", "engine.toml", "--set", "strut.spring.0=80 N/mm"]
+    assert commands.main([*words, "--set", "strut.spring.1.gap=20 mm"]) == 0
+    said = capsys.readouterr().out
+    assert "Linear(80 N/mm) + BumpStop(gap=20 mm, stiffness=2000 N/mm" in said
+    assert commands.main([*words[:3], "strut.spring=80 N/mm"]) == 2
+    assert "strut.spring.0 strut.spring.1" in capsys.readouterr().err
+    assert commands.main([*words[:3], "strut.spring.2=80 N/mm"]) == 2
+    assert "names nothing that has entries" in capsys.readouterr().err
 
 
 def test_values_are_set_by_name_and_pattern(capsys):
@@ -880,7 +865,7 @@ def test_check_says_what_the_numbers_mean(tmp_path, monkeypatch, capsys):
     assert commands.main(["check", "two.toml"]) == 0
     said = capsys.readouterr().out
     assert "no errors" in said and re.search(
-        r"far from the drawn pose: 'compressor' is 0.49\d m and 13\d degrees from it", said
+        r"far from the drawn pose: 'compressor' is 49\d mm and 13\d degrees from it", said
     )
     assert (
         commands.main(["modes", "two.toml"]) == 0
@@ -896,6 +881,6 @@ def test_check_says_what_the_numbers_mean(tmp_path, monkeypatch, capsys):
     commands.main(["check", "apart.toml", "--set", "gravity=[0, 0, -9.81]"])
     said = capsys.readouterr().out
     assert (
-        "bushing 'fl' is drawn 2.25 m apart" in said
-        and "gravity is 0.00981 m/s2, not 9.7 to 9.9: is it in m/s2?" in said
+        "bushing 'fl' is drawn 2250 mm apart" in said
+        and "gravity is 9.81 mm/s2, not 9700 to 9900 mm/s2: is it in m/s2?" in said
     )

@@ -143,10 +143,12 @@ def test_the_papers_formulas_as_printed():
 
 
 @pytest.mark.long  # .ci/run runs it too
-def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monkeypatch):
+def test_the_demo_of_the_paper_prints_and_draws_its_results(
+    contract, tmp_path, capsys, monkeypatch
+):
     """After the contract script, whose compiled functions it shares; the exit code is 1 when an
     estimate is off."""
-    assert commands.main(["demo", "--out", str(tmp_path)]) == 0
+    assert commands.main(["demo", "--paper", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     for word in (
         "paper (77)",
@@ -163,7 +165,7 @@ def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monke
         picture = (tmp_path / f"{name}.png").read_bytes()
         assert picture[:4] == b"\x89PNG" and len(picture) > 10_000
     monkeypatch.setattr(demos, "LIKELY", 1e-9)
-    assert commands.main(["demo", "--out", str(tmp_path)]) == 1
+    assert commands.main(["demo", "--paper", "--out", str(tmp_path)]) == 1
     assert "too far from the true values" in capsys.readouterr().out
 
 

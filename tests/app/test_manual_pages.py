@@ -3,6 +3,7 @@ work; names that they mention exist."""
 
 import re
 import shlex
+from pathlib import Path
 
 import manual_pages
 import numpy as np
@@ -88,20 +89,39 @@ def test_all_commands_are_in_the_table(capsys):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("page", ["engine_mount", "units_in_files"])
+def test_the_files_and_commands_of_a_page_run(page, tmp_path, monkeypatch, capsys):
+    """Blocks with a caption are files; each line of a block of commands runs, and prints."""
+    monkeypatch.chdir(tmp_path)
+    text = (manual_pages.DOCS / f"guide/{page}.md").read_text()
+    for _, name, body in re.findall(
+        r"^```{code-block} (\w+)\n:caption: (\S+)\n(.*?)^```", text, re.M | re.S
+    ):
+        (tmp_path / name).write_text(body)
+    lines = "".join(re.findall(r"^```{code-block} sh\n(.*?)^```", text, re.M | re.S)).splitlines()
+    assert len(lines) >= 4
+    for line in lines:
+        assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out, line
+
+
+@pytest.mark.long
 def test_the_model_file_and_its_commands(tmp_path, monkeypatch, capsys):
     """The same model in Python has the same numbers; every command runs, and the fit finds the mass
     with which the record was made."""
     monkeypatch.chdir(tmp_path)
-    model_text, study_text = fenced("files.md", "{code-block} toml")
+    (study_text,) = fenced("files.md", "{code-block} toml")
+    assert "ready/engine.toml" in (manual_pages.DOCS / "guide/files.md").read_text()
+    model_text = (Path(jb.__file__).parent / "app/ready/engine.toml").read_text()
     (tmp_path / "engine.toml").write_text(model_text)
     ends = {
-        side: (("engine", [0, y, -0.1]), ("frame", [0, y, 0]))
+        side: (("engine", [-0.1, y, -0.1]), ("frame", [-0.1, y, 0]))
         for side, y in (("left", 0.25), ("right", -0.25))
     }
     bushings = {
-        side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()
+        side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5], damping=[600, 600, 1200])
+        for side, points in ends.items()
     }
-    spring = jb.laws.Linear(6e4) + jb.laws.BumpStop(gap=0.015, stiffness=2e6)
+    spring = jb.laws.Linear(2.5e5) + jb.laws.BumpStop(gap=0.015, stiffness=2e6)
     damper = jb.laws.TwoSided(bump=900.0, rebound=2100.0)
     strut = jb.SpringDamper(
         ("engine", [0.3, 0, -0.1]),
@@ -133,7 +153,11 @@ def test_the_model_file_and_its_commands(tmp_path, monkeypatch, capsys):
     base = np.stack([0 * times, 0 * times, 1e-3 * np.sin(2 * np.pi * 6 * times) ** 2], 1)
     heavier = jb.replace(read, {"engine.mass": 200.0})
     run = jb.simulate(
-        heavier, times, motion={"frame": jb.Sampled(times, translation=base)}, initial="rest"
+        heavier,
+        times,
+        motion={"frame": jb.Sampled(times, translation=base)},
+        loads=jb.read_study("engine.toml").loads,
+        initial="rest",
     )
     noise = np.random.default_rng(0).normal(0, 0.05, 100)
     lift = (

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 README = "README's script"
-DEMO = "jaxbody demo"
+DEMO = "jaxbody demo --paper"
 
 BEGIN = """
 import json, os, sys
@@ -225,7 +225,7 @@ def script_of(job: str, source: Path) -> str:
         )
     if job == DEMO:
         code = """import importlib.metadata, sys
-sys.argv = ['jaxbody', 'demo', '--out', sys.argv[1]]
+sys.argv = ['jaxbody', 'demo', '--paper', '--out', sys.argv[1]]
 (command,) = importlib.metadata.entry_points(group='console_scripts', name='jaxbody')
 command.load()()
 """

@@ -190,7 +190,7 @@ def test_multipliers_are_those_of_the_problem_solved_again(car):
         )
         for x in (2002.0, 1998.0)
     ]
-    assert held.active == ("sag = 0.08", "suspension.damping <= 2000")
+    assert held.active == ("sag = 0.08", "suspension.damping <= 2000 N s/m")
     np.testing.assert_allclose(
         held.multipliers["suspension.damping"], (ends[0] - ends[1]) / 4, rtol=1e-4
     )
@@ -582,7 +582,7 @@ def test_a_tuned_design_is_a_start_within_its_bounds(weight):
     once = jb.tune(weight, low, free=list(bounds), bounds=bounds)
     again = jb.tune(once.model, low, free=list(bounds), bounds=bounds)
     np.testing.assert_allclose([again.values[path] for path in bounds], [0.0, 7.0], atol=1e-12)
-    assert again.active == ("spring.free_length >= 0", "spring.stiffness >= 7")
+    assert again.active == ("spring.free_length >= 0 m", "spring.stiffness >= 7 N/m")
 
 
 def test_bounds_below_zero_do_not_let_a_length_become_negative(weight):

@@ -441,11 +441,11 @@ BAD = {
         "float Body",
     ),
     "no end": (
-        lambda: jb.Spring("engine", ("base", [0, 0, 0]), stiffness=1),
+        lambda: jb.Spring(["engine"], ("base", [0, 0, 0]), stiffness=1),
         "BAD_END",
         "Spring, first end",
-        "engine",
-        "'engine' point",
+        ["engine"],
+        "['engine'] point",
     ),
     "axis of no length": (
         lambda: jb.Guide("base", axis=[0, 0, 0]),

@@ -36,7 +36,9 @@ def _gallery(root: Path, scripts: list[Path], notebooks: list[Path]) -> str:
         if path.suffix in (".png", ".gif", ".jpg", ".svg")
     ):
         script = maker(root, image.name)
-        made = "`jaxbody demo`" if str(script) == DEMO else f"[{script}](examples/{script.stem}.md)"
+        made = f"[{script}](examples/{script.stem}.md)"
+        if str(script) == DEMO:
+            made = "`jaxbody demo --paper`"
         if is_notebook(root / script):
             made = f"[{script}](notebooks/{script.stem}.ipynb)"
         about = first_paragraph(root / script)

@@ -53,6 +53,7 @@ class DesignBuilder(EntryBuilder):
                 name: (kind, {key: x for key, x in stated[name].items() if key not in OF_TABLE})
                 for name, kind in known.items()
             },
+            {name: self.unit_of(stated[name], kind, leaves) for name, kind in known.items()},
             {name: sensor for name, sensor in self.sensors.items() if name in read},
             {name: (road["class"], road["speed"]) for name, road in roads.items()},
             tuple(self.values.get("band", (0.1, 100.0))),
@@ -138,12 +139,16 @@ class DesignBuilder(EntryBuilder):
     def limit(
         self, value: Any, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf], name: str
     ) -> Any:
-        """Return a limit, or a pair of limits, in SI; its unit is that of the kind of quantity, of
-        its sensor, or of its number of the model."""
+        """Return a limit, or a pair of limits, in SI."""
+        unit = self.unit_of(stated, kind, leaves)
+        pair = self.builder.quantity(value, unit, (*self.path, "limits", name))
+        return tuple(pair) if isinstance(pair, list) else pair
+
+    def unit_of(self, stated: dict[str, Any], kind: Quantity, leaves: list[Leaf]) -> str:
+        """Return the unit of a quantity: that of its kind, of its sensor, or of its number of the
+        model."""
         of_path = next((leaf.kind.unit for leaf in leaves if leaf.path == stated.get("path")), "")
         sensor = (
             self.sensors.get(stated.get("sensor", "")) if stated["type"] in QUANTITIES else None
         )
-        unit = sensor.unit_on(self.model) if sensor is not None else kind.unit or of_path
-        pair = self.builder.quantity(value, unit, (*self.path, "limits", name))
-        return tuple(pair) if isinstance(pair, list) else pair
+        return sensor.unit_on(self.model) if sensor is not None else kind.unit or of_path

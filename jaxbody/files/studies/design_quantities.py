@@ -84,9 +84,9 @@ def damping_ratio(at: Design, mode: int) -> Array:
     return complex_modes(at.linearization).damping_ratio[mode - 1]
 
 
-def deflection(at: Design, element: str) -> Array:
+def deflection(at: Design, on: str) -> Array:
     """Return the elongation of a spring at equilibrium [m]."""
-    return at.equilibrium.elongations[element]
+    return at.equilibrium.elongations[on]
 
 
 def coupling_of_modes(at: Design) -> Array:
@@ -134,16 +134,18 @@ QUANTITIES = {
 
 class Evaluation:
     """The quantities of a design as a function of the model, in the form that `tune` takes;
-    `quantities`: {name: (kind, entries stated with it)}."""
+    `quantities`: {name: (kind, entries stated with it)}; `units`: their SI units."""
 
     def __init__(
         self,
         quantities: dict[str, tuple[Quantity, dict[str, Any]]],
+        units: dict[str, str],
         sensors: dict[str, Sensor],
         roads: Any,
         band: Any,
     ):
-        self.quantities, self.sensors, self.roads, self.band = quantities, sensors, roads, band
+        self.quantities, self.units, self.sensors = quantities, units, sensors
+        self.roads, self.band = roads, band
 
     def __call__(self, model: Model) -> dict[str, Array]:
         design = Design(model, self.sensors, self.roads, self.band)

@@ -75,7 +75,7 @@ def schema() -> dict[str, Any]:
         "end": {
             "description": (
                 'The name of a body, a support or "world", and a point in its frame: '
-                '["engine", "0.2, 0, -0.1 m"].'
+                '["engine", "0.2, 0, -0.1 m"]; the name alone means its origin.'
             ),
             "oneOf": [
                 named("frame"),
@@ -231,7 +231,7 @@ def _quantity(name: str) -> dict[str, Any]:
             "description": "Path of a number of the model, such as left.stiffness.",
         },
         "mode": {"type": "integer", "minimum": 1, "description": "Number of the mode, from 1."},
-        "element": named("element"),
+        "on": named("element"),
         "band": {
             "type": ["array", "string"],
             "unit": "Hz",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.arrays import time_text
-from jaxbody.core.tables import Printed, PrintedTable, in_numpy
+from jaxbody.core.tables import Printed, PrintedTable, in_numpy, tables_in
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, Document, read_document
 from jaxbody.files.schemas import checked_values
@@ -25,7 +25,8 @@ class Study(Printed):
     """A model and what a file states with it, by name, in the form that `simulate`, `measure` and
     `fit` take: `experiments` to fit, `held_out` ones for `validate`; `fit`: arguments of `fit`, or
     of `multistart` if it has `starts`; `designs`: arguments of `tune`; `files`: paths of the curves
-    and records that the file names.
+    and records that the file names; `units`: the unit system that it states. Numbers are in SI; it
+    prints in the units of the file, as results do by `result.summary(units=study.printed_units)`.
 
     >>> study = jb.files.Study(
     ...     jb.presets.quarter_car(), {"road": jb.Harmonic(frequency=1.5, translation=[0, 0, 0.01])}
@@ -44,6 +45,12 @@ class Study(Printed):
     designs: dict[str, dict[str, Any]] = attribute(default_factory=dict)
     files: list[Path] = attribute(default_factory=list)
     held_out: dict[str, Measurement] = attribute(default_factory=dict)
+    units: Any = None
+
+    @property
+    def printed_units(self) -> Any:
+        """The units for `summary` of results: those that the file states, or mm and deg."""
+        return self.units or "mm"
 
     def _tables(self) -> list[PrintedTable]:
         parts = {
@@ -74,7 +81,7 @@ class Study(Printed):
             ),
             PrintedTable("", ("design", "minimizes", "free", "limits"), designs),
         ]
-        return [bodies, *(table for table in shown if table.rows)]
+        return tables_in([bodies, *(table for table in shown if table.rows)], self.printed_units)
 
 
 def _listed(free: Any) -> list[str]:
@@ -182,4 +189,5 @@ def study_of(
             designs=parts.designs(sensors) if len(sensors) == stated else {},
             files=builder.files,
             held_out=held_out,
+            units=values.get("units"),
         )

@@ -53,7 +53,7 @@ class Plausibility(Result):
         return [
             tables.PrintedTable(
                 "Plausibility",
-                ("", "value", "", "usual"),
+                ("", "value", "unit", "usual"),
                 [(quantity, *number) for quantity, number in self.numbers.items()],
                 "\n".join(self.words) or "no remarks",
             )
@@ -105,7 +105,8 @@ def plausibility(
         numbers[quantity] = (value, unit, f"{low:g} to {high:g}")
         if not low <= value <= high:
             stated = f"{quantity} is {value:.4g} {unit}".rstrip()
-            words.append((code, f"{stated}, not {low:g} to {high:g}: {remark}"))
+            around = f"{low:g} to {high:g} {unit}".rstrip()
+            words.append((code, f"{stated}, not {around}: {remark}"))
 
     for name, ratio in _gyration_ratios(model).items():
         note(

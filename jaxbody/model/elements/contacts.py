@@ -98,7 +98,7 @@ class Tyre(Touching):
         self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)
     ):
         with Problems() as problems:
-            self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
+            self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems)
             take(
                 self,
                 problems,

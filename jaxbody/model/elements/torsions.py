@@ -73,7 +73,7 @@ class Torsion(LawForces):
         orientation_b=IDENTITY,
     ):
         with Problems() as problems:
-            self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
+            self.between, (self.a, self.b) = ends((a, b), "Torsion", problems)
             self.axis = direction(axis, "Torsion.axis", problems)
             self.spring = laws.as_law(spring, "Torsion.spring", problems)
             self.damper = law_states.as_damper(damper, "Torsion.damper", problems)
@@ -127,7 +127,7 @@ class AntiRollBar(LawForces):
     def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
         with Problems() as problems:
             self.between, (self.a, self.b, self.c) = ends(
-                (left, right, body), "AntiRollBar", problems, points=False
+                (left, right, body), "AntiRollBar", problems
             )
             self.axis = direction(axis, "AntiRollBar.axis", problems)
             self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)

@@ -182,14 +182,19 @@ class Unbalance(Load):
             )
         warn_of_degrees(self.phase, "Unbalance.phase")
 
+    def perpendiculars(self) -> tuple[Array, Array]:
+        """Return n1 and n2, in body axes."""
+        axis = jnp.asarray(self.axis)
+        reference = jnp.asarray(np.eye(3)[self.across], axis.dtype)
+        n1 = reference - dot(reference, axis) * axis
+        n1 = n1 / jnp.sqrt(dot(n1, n1))
+        return n1, cross(axis, n1)
+
     def at_point(self, now):
         t = now.t
         phi = 2 * jnp.pi * (self.frequency * t + 0.5 * self.run_up * t**2) + self.phase
         rate, change = 2 * jnp.pi * (self.frequency + self.run_up * t), 2 * jnp.pi * self.run_up
-        reference = jnp.asarray(np.eye(3)[self.across], now.p.dtype)
-        n1 = reference - dot(reference, self.axis) * self.axis
-        n1 = n1 / jnp.sqrt(dot(n1, n1))
-        n2 = cross(jnp.asarray(self.axis), n1)
+        n1, n2 = self.perpendiculars()
         c, s = jnp.cos(phi), jnp.sin(phi)
         F = self.unbalance * (rate**2 * (c * n1 + s * n2) + change * (s * n1 - c * n2))
         return rotate(now.R, F), jnp.zeros_like(F)
@@ -274,7 +279,7 @@ class EngineTorque(Load):
 
 def _place(on: Any, kind: str, problems: Problems):
     """Return the name of the body and the point, given as a name or as (name, point)."""
-    (name,), (point,) = ends((on,), kind, problems, points=False)
+    (name,), (point,) = ends((on,), kind, problems)
     return name, point
 
 

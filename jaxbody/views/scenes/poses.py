@@ -23,6 +23,7 @@ from jaxbody.model.models import Model
 from jaxbody.model.storage import KindTable
 from jaxbody.suspension.wheels import Wheel
 
+ROWS = 40  # configurations that one program computes at once, as many as a drawn mode has
 SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
 
 
@@ -104,8 +105,8 @@ def displaced_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return origins and orientations in the configurations q (+) Delta, where each row of `deltas`
     is a displacement Delta from q, with closures fulfilled; `xi` as in `poses_of`."""
-    rows = jnp.asarray(deltas, model.gravity.dtype)
-    return poses_of(model, _moved(model, jnp.asarray(q), rows), xi)
+    rows = jnp.asarray(_padded(deltas), model.gravity.dtype)
+    return poses_of(model, _moved(model, jnp.asarray(q), rows)[: len(deltas)], xi)
 
 
 @program
@@ -117,8 +118,14 @@ def poses_of(model: Model, q: Any, xi: Any = 0.0) -> tuple[np.ndarray, np.ndarra
     """Return origins (n, frames, 3) and orientations (n, frames, 3, 3) for rows of q. `xi` (ns, 6),
     or (n, ns, 6): displacements of the supports [m, rad]."""
     xi = np.broadcast_to(xi, (len(q), len(model.layout.supports), 6))
-    frames = _at_rest(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
-    return np.asarray(frames.p), np.asarray(frames.R)
+    rows = jnp.asarray(_padded(xi), model.gravity.dtype)
+    frames = _at_rest(model, jnp.asarray(_padded(np.asarray(q))), rows)
+    return np.asarray(frames.p)[: len(q)], np.asarray(frames.R)[: len(q)]
+
+
+def _padded(rows: np.ndarray) -> np.ndarray:
+    """Return rows repeated to a multiple of ROWS, so that one program serves many lengths."""
+    return np.resize(rows, (-(-len(rows) // ROWS) * ROWS, *rows.shape[1:]))
 
 
 @program

@@ -1,5 +1,5 @@
-"""README's script, the example of its contract and `jaxbody demo` compile few programs, none of
-single operations but the script's own."""
+"""README's script, the example of its contract and `jaxbody demo --paper` compile few programs,
+none of single operations but the script's own."""
 
 import os
 import subprocess
@@ -37,8 +37,9 @@ print('programs', *sorted(ours))
 """  # noqa: E501
 )
 DEMO = COUNTED + (
-    "from jaxbody.app import commands\nassert commands.main(['demo', '--out', sys.argv[1]]) == "
-    "0\nprint('programs', *sorted(ours))"
+    "from jaxbody.app import commands\n"
+    "assert commands.main(['demo', '--paper', '--out', sys.argv[1]]) == 0\n"
+    "print('programs', *sorted(ours))"
 )
 RIDE = (
     COUNTED

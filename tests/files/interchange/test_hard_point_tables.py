@@ -27,7 +27,7 @@ def test_points_are_in_meters_whatever_the_columns(tmp_path):
             "900 mm",
             "900",
             (
-                "corner.csv:3 y: is 900 without a unit (allowed: a unit such as m). Write it "
+                "corner.csv:3 y: is 900 without a unit (allowed: a unit such as mm). Write it "
                 "in the heading, y [m],"
             ),
         ),

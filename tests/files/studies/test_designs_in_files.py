@@ -36,7 +36,7 @@ load = {type = "rms", sensor = "load"}
 k = {type = "value", path = "suspension.stiffness"}
 first = {type = "frequency", mode = 1}
 zeta = {type = "damping_ratio", mode = 1}
-sag = {type = "deflection", element = "suspension"}
+sag = {type = "deflection", on = "suspension"}
 coupled = {type = "coupling_of_modes"}
 idle = {type = "band_intrusion", band = "8, 10 Hz"}
 """  # noqa: E501
