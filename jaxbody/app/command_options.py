@@ -21,12 +21,14 @@ def load_case(text: str) -> tuple[str, list[float]]:
 
 
 def above_zero(text: str) -> float:
+    """Parse a number above zero."""
     if not 0 < float(text) < float("inf"):
         raise ValueError
     return float(text)
 
 
 def band(text: str) -> tuple[float, float]:
+    """Parse "0.5:20" into two frequencies [Hz] in ascending order."""
     low, _, high = text.partition(":")
     if not 0 < float(low) < float(high):
         raise ValueError
@@ -51,6 +53,7 @@ band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of 
 
 
 def ports_options(required: bool) -> tuple[Any, ...]:
+    """Return the options that name inputs and outputs of a linear system."""
     several: dict[str, Any] = {"action": "append", "required": required, "default": []}
     directions = (
         "support or body and x, y, z, rx, ry or rz: a motion, or a force or moment; or a load of "
@@ -72,6 +75,7 @@ def ports_options(required: bool) -> tuple[Any, ...]:
 
 
 def case_option(required: bool) -> tuple[Any, ...]:
+    """Return the option that states a load case; it may be given several times."""
     named: dict[str, Any] = {
         "type": load_case,
         "action": "append",
@@ -93,6 +97,7 @@ BAND = (
 
 
 def number_of(flag: str, what: str, default: int) -> tuple[Any, ...]:
+    """Return an option that takes a whole number."""
     return (flag,), {
         "type": int,
         "default": default,

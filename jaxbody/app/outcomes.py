@@ -34,6 +34,7 @@ class Outcome:
 
 
 def check(study: Study, options: argparse.Namespace) -> Outcome:
+    """Count the parts of a file and say what is not plausible in its model and records."""
     from jaxbody.core.tables import counted
 
     model = study.model
@@ -65,6 +66,7 @@ def _remarks(study: Study) -> tuple[str, ...]:
 
 
 def modes(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute natural or complex modes at the equilibrium."""
     lin, remarks = _linear(study)
     modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
     energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
@@ -96,6 +98,7 @@ def _over(study: Study, options: argparse.Namespace) -> tuple[str, str, Any]:
 
 
 def sweep(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the quantities of a design over a parameter."""
     from jaxbody.app import saved_results
 
     (path, unit, values), chosen = _over(study, options), design(study, options)
@@ -108,6 +111,7 @@ def sweep(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def spectrum_response(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the largest outputs under the elastic spectrum of Eurocode 8."""
     lin, remarks = _linear(study)
     _, outputs = _ports(study, options, "acceleration")
     spectrum = jb.shock.Eurocode8(options.acceleration, options.ground)
@@ -120,6 +124,7 @@ def spectrum_response(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def response(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute frequency responses at the equilibrium."""
     import numpy as np
 
     from jaxbody.app import saved_results
@@ -135,6 +140,7 @@ def response(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def random(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the response to an uneven road under each input."""
     from jaxbody.app import saved_results
 
     lin, remarks = _linear(study)
@@ -152,6 +158,7 @@ def random(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def load_cases(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute load cases. Error: NO_DATA if none is given."""
     from jaxbody.app import saved_results
 
     if not options.case:  # a report does not require cases
@@ -170,6 +177,7 @@ def load_cases(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def simulate(study: Study, options: argparse.Namespace) -> Outcome:
+    """Simulate the motion from rest on the supports, and say where it is sampled too coarsely."""
     import numpy as np
 
     from jaxbody.app import saved_results
@@ -217,6 +225,7 @@ def _highest_frequency(study: Study, duration: float) -> float:
 
 
 def fit(study: Study, options: argparse.Namespace) -> Outcome:
+    """Fit parameters to the experiments of the file."""
     results = fitted(study, options)
     fit = results["Fit"]
     return Outcome(
@@ -337,6 +346,7 @@ def at_equilibrium(compute: Callable[[Any], Any]) -> Callable[..., Outcome]:
 
 
 def track_modes(study: Study, options: argparse.Namespace) -> Outcome:
+    """Follow the modes over a parameter, whose values are in the printed units."""
     path, si, values = _over(study, options)
     unit, factor = printed_unit(si, options.words)
 
@@ -349,6 +359,7 @@ def track_modes(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def dynamic_stiffness(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the dynamic stiffness of an element."""
     import numpy as np
 
     check_known(options.element, "--element", study.model.element_names)
@@ -358,26 +369,31 @@ def dynamic_stiffness(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def diagnose(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compare the records with the model."""
     check_measured(study, options)
     return Outcome([jb.diagnose(study.model, study.experiments)])
 
 
 def profile_likelihood(study: Study, options: argparse.Namespace) -> Outcome:
+    """Fit, and compute the profile of one of the parameters."""
     fit = fitted(study, options)["Fit"]
     return Outcome([jb.profile_likelihood(fit, options.path or next(iter(fit.estimates)))])
 
 
 def pareto(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the front of several quantities of a design."""
     chosen = design(study, options) | {"minimize": options.minimize, "points": options.points}
     return Outcome([jb.pareto(study.model, **chosen)])
 
 
 def tune(study: Study, options: argparse.Namespace) -> Outcome:
+    """Tune the chosen design."""
     tuning = jb.tune(study.model, **design(study, options))
     return Outcome([tuning], space=tuning.space, trees={"": tuning.model})
 
 
 def equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
+    """Compute the equilibrium."""
     found = jb.equilibrium(study.model)
     return Outcome([found], view=lambda: jb.view(found))
 

@@ -51,8 +51,8 @@ def sentences(result: Any, words: Words) -> list[str]:
     part = result.unloaded if isinstance(result, static_load_cases.LoadCases) else result
     batch = np.ndim(getattr(part, "status", 0)) or np.ndim(getattr(part, "gravity", [0])) > 1
     say = partial(in_words, words=words)
-    told = [told for kind, told in SENTENCES.items() if isinstance(result, kind)]
-    return told[0](result, say)[:MOST_LISTED] if told and not batch else []
+    says = [says for kind, says in SENTENCES.items() if isinstance(result, kind)]
+    return says[0](result, say)[:MOST_LISTED] if says and not batch else []
 
 
 def _listed(names: Any, what: str = "") -> str:
@@ -275,7 +275,7 @@ def matrices(system: linearizations.LinearSystem, words: Words) -> list[PrintedT
 def fitting(table: PrintedTable, words: Words | None) -> list[PrintedTable]:
     """Return a table as tables of one number in a cell that fit on paper: with words in the printed
     units, else in SI with six digits."""
-    lead = 1 + (table.columns[1:2] == ("part",))
+    lead = table.lead
     table = table if words is not None else replace(table, digits=6)
     return [few for part in in_units(table, words or {}) for few in _broken(part, lead)]
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.core.arrays import indices
@@ -18,6 +17,7 @@ from jaxbody.core.source_files import writing
 from jaxbody.core.tables import PrintedTable, in_numpy, tables_in
 from jaxbody.records.text_tables import split_unit
 from jaxbody.views.plots.plot_units import label_in
+from jaxbody.views.scenes.poses import turns
 
 
 def over_frequency(response: Any) -> PrintedTable:
@@ -75,9 +75,8 @@ def over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
     forces of elements, readings of sensors."""
     poses = trajectory.poses
     positions = {name: pose.p for name, pose in poses.items()}
-    rotations = {
-        name: Rotation.from_matrix(np.asarray(pose.R)).as_rotvec() for name, pose in poses.items()
-    }
+    start = np.array([1.0, 0.0, 0.0, 0.0])
+    rotations = {name: turns(np.asarray(pose.R), start) for name, pose in poses.items()}
     moves, columns = ("position", positions, rotations), {"time [s]": trajectory.times}
     columns |= _columns(trajectory.model, moves, trajectory.elongations, trajectory.forces)
     for name, reading in (jb.measure(trajectory, sensors) if sensors else {}).items():

@@ -37,6 +37,12 @@ class PrintedTable:
     note: str = ""
     digits: int = 4  # in other units than SI
 
+    @property
+    def lead(self) -> int:
+        """The number of columns of names, which each piece of a wide table has: two for the parts
+        of a case."""
+        return 1 + (self.columns[1:2] == ("part",))
+
 
 def unit_words(system: Any) -> Words:
     """Return the printed word of each SI word that differs: {"m": "mm", "rad": "deg"}.

@@ -170,7 +170,7 @@ def text(*shown: PrintedTable) -> str:
 def _lines(table: PrintedTable) -> list[str]:
     cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
     widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
-    names = [0, 1] if table.columns[1:2] == ("part",) else [0]
+    names = range(table.lead)
     blocks = [list(names)]  # columns below each other where the table is too wide
     for i, width in enumerate(widths[len(names) :], start=len(names)):
         full = sum(widths[j] + 2 for j in blocks[-1]) + 2 + width > WIDEST

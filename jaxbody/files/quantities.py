@@ -20,7 +20,7 @@ from typing import Any
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
-from jaxbody.core.printed_tables import printed_unit
+from jaxbody.core.printed_tables import printed_unit, unit_words
 
 LONGEST = 10_000  # largest number of characters of one quantity
 NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
@@ -204,7 +204,7 @@ def _of_number(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         return value
     si = unit if unit in units.KNOWN else units.si_words(dimension)
     if expected.system is None:
-        usual, _ = printed_unit(si, {"m": "mm", "rad": "deg"})
+        usual, _ = printed_unit(si, unit_words("mm"))
         raise JaxbodyError(
             Problem(
                 "NO_UNIT",

@@ -486,6 +486,16 @@ def test_the_package_for_pages_is_named_when_it_is_missing(capsys, monkeypatch, 
     )
 
 
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_motion_that_fails_keeps_what_it_had(capsys, folder):
+    """Of a free body, whose orientation is not known after the failure."""
+    words = "simulate engine.toml --duration 2 --max-steps 20 --out motion.csv"
+    assert commands.main(words.split()) == 1
+    head, first, *_, last = (folder / "motion.csv").read_text().splitlines()
+    turn = head.split(",").index("rotation of engine y [deg]")
+    assert np.isfinite(float(first.split(",")[turn])) and last.split(",")[turn] == "nan"
+
+
 @pytest.mark.long
 def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
     assert (

@@ -106,7 +106,8 @@ def displaced_poses(
     """Return origins and orientations in the configurations q (+) Delta, where each row of `deltas`
     is a displacement Delta from q, with closures fulfilled; `xi` as in `poses_of`."""
     rows = jnp.asarray(_padded(deltas), model.gravity.dtype)
-    return poses_of(model, _moved(model, jnp.asarray(q), rows)[: len(deltas)], xi)
+    q = np.asarray(_moved(model, jnp.asarray(q), rows))[: len(deltas)]
+    return poses_of(model, q, xi)
 
 
 @program
