@@ -49,6 +49,7 @@ from jaxbody.mechanics.quasi_static_states import excitation as excitation
 from jaxbody.mechanics.several_equilibria import find_equilibria as find_equilibria
 from jaxbody.mechanics.static_load_cases import LoadCase as LoadCase
 from jaxbody.mechanics.static_load_cases import load_cases as load_cases
+from jaxbody.model import forces as forces
 from jaxbody.model import inputs as inputs
 from jaxbody.model import joints as joints
 from jaxbody.model import laws as laws
@@ -64,6 +65,8 @@ from jaxbody.model.elements.springs import Spring as Spring
 from jaxbody.model.elements.springs import SpringDamper as SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar as AntiRollBar
 from jaxbody.model.elements.torsions import Torsion as Torsion
+from jaxbody.model.forces import ForceElement as ForceElement
+from jaxbody.model.forces import MagneticBearing as MagneticBearing
 from jaxbody.model.inputs import BaseMotion as BaseMotion
 from jaxbody.model.inputs import Force as Force
 from jaxbody.model.inputs import Harmonic as Harmonic

@@ -7,15 +7,16 @@ poses along Delta' and Xi'. Delta = 0 with Delta' = v is the state itself.
 
     M | -M~ | M_bb    Hessian of T in (Delta', y', Xi')
     C | -C~ | C_bb    Hessian of R in (Delta', y', Xi')
-    K | -K~ | K_bb    Hessian of V + lambda c in (Delta, y, Xi), minus dQ/dDelta
+    K | -K~ | K_bb    Hessian of V + lambda c in (Delta, y, Xi)
     motion            d/dt dL/dDelta' - dL/dDelta + dR/dDelta' = Q + H - J' lambda,   c'' = 0,
-                      z' = f(e, e', z)
+                      z' = f(frames, z)
 
 y are the coordinates of elements with memory; | separates the blocks 11, 12 and 22. Q and H are the
-generalized forces of loads and of hysteresis, which have no potential, from their virtual power; C
-and K contain the tangents of hysteresis. c are the conditions of closures, J = dc/dDelta, lambda
-their multipliers, z the states of elements. Faster, structured forms of the same equations are in
-`mechanics`; tests compare them with this file.
+generalized forces of loads and force elements and of hysteresis, which have no potential, from
+their virtual power. M, C and K lose the derivatives of Q, and have a row z' - f for each state of a
+force element; C and K contain the tangents of hysteresis. c are the conditions of closures, J =
+dc/dDelta, lambda their multipliers, z the states of elements. Faster, structured forms of the same
+equations are in `mechanics`; tests compare them with this file.
 """
 
 from __future__ import annotations
@@ -26,20 +27,25 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbody.core.arrays import Array, Float, shaped
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.model.element_states import apart, holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import gaps_displaced, rank
 from jaxbody.model.joints.element_tables import (
+    Acting,
     completed,
     each_element,
+    exerted,
+    force_rates,
     inertial_tables,
     of_table,
+    reads_accelerations,
     state_rates,
 )
 from jaxbody.model.joints.kinematics import Coordinates, displacements, frames_displaced, imposed
@@ -146,16 +152,22 @@ def c(model: Model, state: State, delta: Array, xi: Array) -> Float[Array, "nc"]
 def Q(
     model: Model, state: State, loads: tuple[Load, ...], t: Any, *small: Array
 ) -> Float[Array, "nv"]:
-    """Return the generalized forces of loads from their virtual power P(v*) = Q . v*, v* a virtual
-    Delta': P = sum of F . v* + M . w*."""
+    """Return the generalized forces of loads and force elements from their virtual power P(v*) =
+    Q . v*, v* a virtual Delta': P = sum of F . v* + M . w*."""
     now = frames_at(model, state, *small).at_time(t, state)
+    return _of_wrenches(model, state, exerted(holding(model, state.z), now, loads), *small)[0]
+
+
+def _of_wrenches(
+    model: Model, state: State, acting: Acting, *small: Array
+) -> tuple[Float[Array, "nv"], Float[Array, "ns 6"]]:
+    """Return the generalized forces on Delta, and those on Xi, of wrenches on frames."""
 
     def power(moved):
         P = jnp.zeros((), state.q.dtype)
-        for load in loads:
-            i = model.layout.frame(load.on)
-            force, moment = load.wrench(now.frame(i))
-            P = P + force @ moved.v[i] + moment @ moved.w[i]
+        for on, (force, moment) in acting:
+            rows = np.array([model.layout.frame(name) for name in on])
+            P = P + jnp.sum(force * moved.v[rows]) + jnp.sum(moment * moved.w[rows])
         return P
 
     return _by_virtual_power(power, model, state, *small)
@@ -186,16 +198,16 @@ def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "
             jnp.zeros((), state.q.dtype),
         )
 
-    return _by_virtual_power(power, model, state, *small)
+    return _by_virtual_power(power, model, state, *small)[0]
 
 
 def _by_virtual_power(
     power: Callable[[Frame], Array], model: Model, state: State, delta, _, xi, xi_dot
-) -> Float[Array, "nv"]:
-    """Return dP/dv* of a virtual power P, a function of the frames that move at the virtual
+) -> tuple[Float[Array, "nv"], Float[Array, "ns 6"]]:
+    """Return dP/d(v*, Xi'*) of a virtual power P, a function of the frames that move at the virtual
     velocities."""
-    return jax.grad(lambda v: power(frames_at(model, state, delta, v, xi, jnp.zeros_like(xi_dot))))(
-        jnp.zeros_like(state.v)
+    return jax.grad(lambda v, xi_dot: power(frames_at(model, state, delta, v, xi, xi_dot)), (0, 1))(
+        jnp.zeros_like(state.v), jnp.zeros_like(xi_dot)
     )
 
 
@@ -213,12 +225,53 @@ def _without_potential(element: Any, *frames: Frame) -> Array:
 
 
 def _z_dot(model: Model, state: State, *small: Array) -> Array:
-    """Return the rates z' of the element states."""
-    return (
-        state_rates(holding(model, state.z), frames_at(model, state, *small))
-        if model.layout.nz
-        else state.z
+    """Return the rates z' of the element states at rest."""
+    if not model.layout.nz:
+        return state.z
+    now = instant(model, state, jnp.zeros((), state.q.dtype), small, None)
+    return state_rates(holding(model, state.z), now)
+
+
+def instant(model: Model, state: State, t: Any, small: Any, along: Any) -> Instant:
+    """Return the frames for `small` = (Delta, Delta', Xi, Xi') at the time t; if force elements
+    read accelerations, with those for the rates `along` of `small`, by default at rest."""
+    frames = frames_at(model, state, *small)
+    if not reads_accelerations(model):
+        return frames.at_time(t, state)
+    along = jax.tree.map(jnp.zeros_like, small) if along is None else along
+    _, changes = jax.jvp(lambda *small: frames_at(model, state, *small), tuple(small), tuple(along))
+    return replace(frames.at_time(t, state), a=changes.v, alpha=changes.w)
+
+
+def force_matrices(
+    model: Model, state: State, loads: tuple[Load, ...]
+) -> tuple[Array, Array, Array]:
+    """Return the parts of M, C and K of (Delta, y, Xi) due to loads and force elements: minus the
+    derivatives of Q, and the rows z' - f of their states."""
+    layout, zero = model.layout, jnp.zeros((), state.q.dtype)
+    nv, ny, places = layout.nv, len(layout.inner_places), layout.inner_places
+    own, heavy = np.arange(ny - len(layout.first_order), ny), len(layout.inertial)
+    z, base = jnp.asarray(state.z), (len(layout.supports), 6)
+
+    def parts(x):
+        return x[:nv], x[nv : nv + ny], x[nv + ny :].reshape(base)
+
+    def balance(x, x_dot, x_ddot):
+        (delta, y, xi), (rate, y_dot, xi_dot) = parts(x), parts(x_dot)
+        moved = z.at[places].add(y).at[layout.inner_rates].add(y_dot[:heavy])
+        held = apart(model, moved, jnp.zeros_like(z).at[places].set(y_dot))
+        small = delta, state.v + rate, xi, xi_dot
+        along = state.v + rate, parts(x_ddot)[0], xi_dot, parts(x_ddot)[2]
+        now = instant(model, state, zero, small, along)
+        Q, on_supports = _of_wrenches(model, state, exerted(held, now, loads), *small)
+        f = jnp.zeros_like(y).at[own].set(y_dot[own] - force_rates(held, now))
+        return jnp.concatenate([-Q, f, -on_supports.ravel()])
+
+    still = jnp.zeros(nv + ny + layout.nxi, z.dtype)
+    K, C, *M = jax.jacfwd(balance, (0, 1, 2) if reads_accelerations(model) else (0, 1))(
+        still, still, still
     )
+    return M[0] if M else jnp.zeros_like(K), C, K
 
 
 # Equilibrium, matrices and motion, which follow by differentiation
@@ -266,9 +319,6 @@ def matrices(
         frames = frames_at(model, moved, delta, still, xi, base)
         return potential(apart(model, moved.z), frames) + multipliers @ c(model, state, delta, xi)
 
-    def of_loads(delta):
-        return Q(model, state, loads, jnp.zeros((), z.dtype), delta, still, base, base)
-
     x_dot = jnp.concatenate(
         [state.v, z[layout.inner_rates], jnp.zeros(ny - heavy + base.size, z.dtype)]
     )
@@ -277,7 +327,8 @@ def matrices(
         jax.hessian(of_R)(x_dot),
         jax.hessian(of_V)(jnp.zeros_like(x_dot)),
     )
-    return M, C, K.at[:nv, :nv].add(-jax.jacfwd(of_loads)(still))
+    without = force_matrices(model, state, loads)
+    return tuple(H + part for H, part in zip((M, C, K), without, strict=True))
 
 
 def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array):
@@ -298,15 +349,23 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     momentum = jax.grad(of_L, 1)
     M = jax.jacfwd(momentum, 1)(*here)
     _, drift = jax.jvp(momentum, here, along)
+    held, now = holding(model, state.z), instant(model, state, t, here, along)
     f = (
         jax.grad(of_L, 0)(*here)
         - jax.grad(of_R, 1)(*here)
-        + Q(model, state, loads, t, *here)
+        + _of_wrenches(model, state, exerted(held, now, loads), *here)[0]
         + H(model, state, z_dot, *here)
         - drift
     )
+
+    def rates_at(v_dot):
+        """Return z' at the accelerations of the motion."""
+        now = instant(model, state, t, here, (state.v, v_dot, xi_dot, xi_ddot))
+        return state_rates(held, now) if model.layout.nz else z_dot
+
     if not model.closures:
-        return jnp.linalg.solve(M, f), z_dot, None
+        v_dot = jnp.linalg.solve(M, f)
+        return v_dot, rates_at(v_dot), None
 
     def c_dot(delta, delta_dot, xi, xi_dot):
         return jax.jvp(
@@ -315,7 +374,8 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
 
     J, (_, bend) = jax.jacfwd(c_dot, 1)(*here), jax.jvp(c_dot, here, along)
     equations = saddle_point(M, J, rank(model))
-    return equations.solve(f, -bend)[0], z_dot, equations
+    v_dot = equations.solve(f, -bend)[0]
+    return v_dot, rates_at(v_dot), equations
 
 
 # The public functions, which check their arguments and are compiled

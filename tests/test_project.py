@@ -37,7 +37,17 @@ MODULES = sorted(
 NAMED = [module for module in MODULES if not module.endswith("__init__")]
 # modules that are public themselves: families of names
 OPEN = {
-    *("closures", "joints", "laws", "sensors", "inputs", "signals", "presets", "suspension"),
+    *(
+        "closures",
+        "joints",
+        "laws",
+        "sensors",
+        "inputs",
+        "signals",
+        "presets",
+        "suspension",
+        "forces",
+    ),
     *(
         "vibration",
         "shock",
@@ -61,7 +71,7 @@ PUBLIC = EXPORTED + sorted(
 MOST_LINES = 600
 INSIDE = {  # packages within packages and the files beside them, from the ground up
     "core": ("core", "core.compilation", "core.workers"),
-    "model": ("model.laws", "model.inputs", "model.elements", "model"),
+    "model": ("model.laws", "model.forces", "model.inputs", "model.elements", "model"),
     "suspension": ("suspension", "suspension.presets"),
     "fitting": ("fitting.statistics", "fitting.parameters", "fitting.experiments", "fitting"),
     "files": ("files", "files.studies", "files.interchange"),

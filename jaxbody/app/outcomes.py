@@ -40,7 +40,7 @@ def check(study: Study, options: argparse.Namespace) -> Outcome:
     model = study.model
     parts = {
         "support": model.layout.supports,
-        "element": model.element_names,
+        "element": model.element_names + model.force_names,
         "load": study.loads,
         "sensor": study.sensors,
         "experiment": study.experiments,
@@ -327,12 +327,13 @@ def report(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]:
+    from jaxbody.app.reports import fitting_modes
+    from jaxbody.vibration.natural_modes import Modes
+
     lin, _ = _linear(study)
-    return {
-        "Small motions": lin,
-        "Modes": jb.modes(lin),
-        "Energies of modes": jb.mode_energies(lin),
-    }
+    found = fitting_modes(lin)
+    energies = {"Energies of modes": jb.mode_energies(lin)} if isinstance(found, Modes) else {}
+    return {"Small motions": lin, "Modes": found, **energies}
 
 
 def at_equilibrium(compute: Callable[[Any], Any]) -> Callable[..., Outcome]:

@@ -95,7 +95,7 @@ SENTENCES: dict[type, Callable[[Any, Say], list[str]]] = {
             for what, names in (
                 ("body", model.layout.bodies),
                 ("support", model.layout.supports),
-                ("element", model.owner_names),
+                ("element", model.owner_names + model.force_names),
             )
             if names
         )
@@ -136,8 +136,10 @@ SENTENCES: dict[type, Callable[[Any, Say], list[str]]] = {
         "Most strain energy: "
         + _listed(
             [
-                f"mode {i + 1} in {energies.owners[j]} ({energies.strain_shares[j, i]:.0f} %)"
-                for i, j in enumerate(np.asarray(energies.strain_shares).argmax(0))
+                f"mode {i + 1} in {[*shares][j]} ({rows[j, i]:.0f} %)"
+                for shares in [energies.strain | energies.other_strain]
+                for rows in [np.array([*shares.values()])]
+                for i, j in enumerate(np.nan_to_num(rows).argmax(0))
             ]
         )
         + "."
@@ -204,11 +206,11 @@ def inputs(model: Model, words: Words) -> list[PrintedTable]:
         *(("on", {name: joints[name].parent for name in t.names}, joints) for t in model.joints),
         *(
             (
-                ", ".join([*ENDS.values()][: len(t.links[0])]),
+                ", ".join([*ENDS.values()][: len(t.links[0])]) if len(t.links[0]) > 1 else "on",
                 {name: ", ".join(link) for name, link in zip(t.names, t.links, strict=True)},
                 model,
             )
-            for t in (*model.elements, *model.closures)
+            for t in (*model.elements, *model.forces, *model.closures)
         ),
     ]
     shown = []
@@ -257,10 +259,14 @@ def _cells(part: Any, words: Words) -> dict[str, Any]:
 
 
 def matrices(system: linearizations.LinearSystem, words: Words) -> list[PrintedTable]:
-    """Return the matrices of small motions, rotations in rad, with their columns named."""
+    """Return the matrices of small motions, rotations in rad, with their columns named; in SI where
+    they have rows of states, whose units differ."""
     shown, names = system._tables(), [re.sub(" (move|turn) ", " ", n) for n in system.coordinates]
     turns = np.array([" turn " in name for name in system.coordinates], int)
-    for table, name in zip(shown, system.printed, strict=True):
+    converted = (
+        () if len(system.model.layout.first_order) else zip(shown, system.printed, strict=True)
+    )
+    for table, name in converted:
         units, factors = zip(
             *(printed_unit(unit, words) for unit in linearizations.UNITS[name].split(", ")),
             strict=True,

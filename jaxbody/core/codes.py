@@ -3,6 +3,8 @@
 import re
 
 _TABLE = """
+ALGEBRAIC_LOOP: a force reads an acceleration that it causes itself -> read it in the rates of a
+    state, as behind a lag
 ALL_NAN: all samples of a record are missing -> leave its sensor out, or use one that reads the
     numbers you have
 AT_BOUND: a parameter ended at its bound -> widen the bound if the value is possible; its interval
@@ -176,6 +178,8 @@ NEVER_MOVED: a free parameter has no effect on the data -> fix it, or measure a 
 NOISY_INPUT: noise in the record of a motion or load acts as a force that the model does not have ->
     filter it, or measure it better
 NONFINITE: a value is not finite -> the message names the first one; check the law or motion there
+NONFINITE_FORCE: a force element returns a force or rate that is not finite -> the message names it;
+    check its function there
 NONFINITE_START: the model has no finite result where a search starts -> start from parameters that
     can be simulated
 NON_FINITE: a number is NaN or infinite -> give finite numbers
@@ -207,8 +211,8 @@ NOT_SENT: a program cannot be sent to another process -> leave out callbacks, su
     jax.debug.print
 NOT_STEADY: the motion is not steady: its speeds or its linearized matrices change -> spin about an
     axis of symmetry
-NOT_SYMMETRIC: a matrix is not symmetric; if it is K, a load has no potential -> use complex_modes
-    for modes
+NOT_SYMMETRIC: a matrix is not symmetric; if it is K, a force has no potential -> use complex_modes
+    (--damped) for modes
 NOT_TRACEABLE: your function cannot be compiled -> write it with jax.numpy, and jnp.where for if
 NOT_UNIFORM: samples are not evenly spaced -> read the record with rate= or fill=, or interpolate it
     at even times
@@ -236,6 +240,8 @@ NO_NOISE: the noise of a channel is needed and not stated -> give noise= for eve
 NO_NUMBERS: a file has no table of numbers -> give skip= for lines before it, or another format=
 NO_PARTS: Body.of_parts has an empty list -> give at least one body
 NO_PATH: an equilibrium was found without a load path -> give an equilibrium under loads
+NO_POTENTIAL: a model has force elements where a potential energy is needed -> leave them out, or
+    use a function that takes them
 NO_SPECTRUM: an input has no spectrum -> give a PSD or a PowerLaw
 NO_SPEED: a speed is missing or not above 0 -> give it in m/s
 NO_STEP: constant steps need a step length -> give dt0= in seconds

@@ -212,6 +212,7 @@ class Status(enum.IntEnum):
     UNDAMPED = 31
     FAR_OFF = 32
     NOISY_INPUT = 33
+    NONFINITE_FORCE = 34
 
 
 MESSAGES = {status: CODES[status.name][0] for status in Status}

@@ -36,8 +36,8 @@ from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
 from jaxbody.geometry.points_and_orientations import EulerAngles, direction
 from jaxbody.model.elements.elements import Element
+from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.inputs.base_motions import base_motion
-from jaxbody.model.inputs.loads import Load
 from jaxbody.model.inputs.motions import Motion, Sampled
 from jaxbody.model.inputs.signals import Samples, Signal
 from jaxbody.model.joints.joints import Joint
@@ -180,6 +180,8 @@ class Builder:
                 return self.signal(value, path, words)
             case "pulse":
                 return self.thing(value, None, path, words)
+            case "sensors":
+                return {name: self.thing(x, None, (*path, name), {}) for name, x in value.items()}
             case "end":
                 return value if isinstance(value, str) else tuple(value)
             case "words":
@@ -377,7 +379,7 @@ class Builder:
         """Import a user-defined class from an allowed module; if that fails, add a problem and
         return None."""
         kind = self.own_object(name, path)
-        bases = Element | Joint | Closure | Law | Load | Sensor | Signal
+        bases = Element | ForceElement | Joint | Closure | Law | Sensor | Signal
         if path[0] in ("energies", "dissipations"):
             bases |= eqx.Module
         if kind is None or (inspect.isclass(kind) and issubclass(kind, bases)):

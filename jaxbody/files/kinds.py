@@ -5,7 +5,7 @@ import functools
 import inspect
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from jaxbody.geometry import closures
@@ -16,8 +16,12 @@ from jaxbody.model.elements.bushings import Bushing, Mount
 from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
+from jaxbody.model.forces.aerodynamic_forces import SectionAirloads
+from jaxbody.model.forces.force_elements import ForceElement
+from jaxbody.model.forces.magnetic_bearings import MagneticBearing
+from jaxbody.model.forces.rotor_forces import WhirlForce
 from jaxbody.model.inputs.base_motions import base_motion
-from jaxbody.model.inputs.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.model.inputs.loads import EngineTorque, Force, Unbalance
 from jaxbody.model.inputs.motions import AtRest, Harmonic, Sampled
 from jaxbody.model.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.model.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
@@ -58,7 +62,20 @@ JOINTS = (
     HeavePitch,
     HeavePitchRoll,
 )
-ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
+ELEMENTS = (
+    Spring,
+    SpringDamper,
+    Bushing,
+    Mount,
+    Torsion,
+    AntiRollBar,
+    Contact,
+    Tyre,
+    Inerter,
+    MagneticBearing,
+    WhirlForce,
+    SectionAirloads,
+)
 CLOSURES = (
     closures.Ball,
     closures.Hinge,
@@ -143,6 +160,7 @@ PLAIN_SCHEMAS: dict[str, dict[str, Any]] = {  # by the roles of arguments
     "flag": {"type": "boolean"},
     "own": OWN,
     "direction": DIRECTION,
+    "sensors": {"type": "object", "additionalProperties": {"$ref": "#/$defs/sensor"}},
     "of_input": {
         "oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]
     },
@@ -153,7 +171,7 @@ SECTIONS = {
     "bodies": "Bodies by name.",
     "supports": "Bodies by name whose motion is imposed.",
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
-    "elements": "Springs, dampers and contacts by name.",
+    "elements": "Springs, dampers, contacts and forces by name.",
     "closures": "Joints and rods that close loops, and couplings of coordinates, by name.",
     "energies": (
         "Potential energies of your own by name: functions of frames, classes of an allowed module."
@@ -168,7 +186,7 @@ class Argument:
 
     `role`: number, own (number in the unit of a quantity or sensor), end (name and point), law,
     signal, pulse, direction, of_input (direction, or rotation about one), frame, element or
-    coordinate (their names), word, words, whole (integer) or flag (boolean)."""
+    coordinate (their names), sensors, word, words, whole (integer) or flag (boolean)."""
 
     name: str
     role: str
@@ -202,9 +220,17 @@ def arguments_of(kind: type) -> tuple[Argument, ...]:
     parameters = inspect.signature(kind).parameters.values()
     starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     defaults = {each.name: each.default for each in parameters if each.kind not in starred}
-    if issubclass(kind, Sensor) and any(each.kind in starred[1:] for each in parameters):
-        defaults |= dict.fromkeys(kind.stages)  # by **chain
     known, texts = {each.name: each for each in fields(kind)}, texts_of(kind)
+    if any(each.kind in starred[1:] for each in parameters):  # by **chain, or **numbers of fields
+        defaults |= (
+            dict.fromkeys(kind.stages)
+            if issubclass(kind, Sensor)
+            else {
+                name: inspect.Parameter.empty
+                for name, each in known.items()
+                if name not in defaults and "kind" in each.metadata and each.default is MISSING
+            }
+        )
     arguments = []
     for name, default in defaults.items():
         own = known.get(FIELDS.get((kind, name), name))
@@ -230,7 +256,7 @@ def arguments_of(kind: type) -> tuple[Argument, ...]:
 def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
     """Return the role of a constructor argument; see `Argument`."""
     spans = kind in (*ELEMENTS, *CLOSURES) or issubclass(kind, gauges.Gauge)
-    if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, Load)):
+    if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, ForceElement)):
         return "end"
     if name in ("on", "parent", "relative_to"):
         return "element" if issubclass(kind, instruments.OfElement) else "frame"
@@ -238,7 +264,7 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
         return "law" if name == "function" else "coordinate"
     if kind in INPUTS and name in ("axis", "direction"):
         return "of_input"
-    words = {"Law": "law", "Signal": "signal", "Pulse": "pulse"}
+    words = {"Law": "law", "Signal": "signal", "Pulse": "pulse", "dict[": "sensors"}
     if metadata.get("static"):
         words |= {"bool": "flag", "tuple": "words", "int": "whole", "": "word"}
     for word, role in words.items():

@@ -16,7 +16,6 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
 from jaxbody.files.kinds import (
     CLOSURES,
-    ELEMENTS,
     PLAIN,
     SECTIONS,
     TYPES,
@@ -29,6 +28,7 @@ from jaxbody.files.schemas import VERSION, schema
 from jaxbody.geometry.closures import Equation
 from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.inputs.signals import Constant, Sine
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.laws.laws import Function, Law, Linear, Sum
 from jaxbody.model.layouts import WORLD
@@ -54,7 +54,7 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         )
     refuse_batch(model, "write_model")
     parts, writer = model.parts(), Writer(allow)
-    parts["elements"] = {name: _as_given(model, name) for name in model.element_names}
+    parts["elements"] = {name: _as_given(model, name) for name in parts["elements"]}
     parts["joints"] = {
         name: joint
         for name, joint in parts["joints"].items()
@@ -131,22 +131,25 @@ class Writer:
         values: dict[str, Any] = (
             {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
         )
-        spans = type(thing) in (*ELEMENTS, *CLOSURES)
-        ends = zip(thing.between, map(numbers_of, thing.points), strict=True) if spans else iter(())
+        points = getattr(thing, "points", ()) or [getattr(thing, end, None) for end in "ab"]
+        ends = zip(getattr(thing, "between", ()), map(numbers_of, points), strict=False)
         for argument in arguments_of(type(thing)) if dataclasses.is_dataclass(thing) else ():
             if argument.role == "end":
                 values[argument.name] = list(next(ends))
             else:
                 value = getattr(thing, argument.field, None)
+                value = value.value if isinstance(value, Constant) else value
                 if value is not None and not _same(value, argument.default):
                     values[argument.name] = self.value(value, argument, f"{where}.{argument.name}")
         return values
 
     def value(self, value: Any, argument: Argument, where: str) -> Any:
         """Return the value of an argument in a file."""
-        if isinstance(value, Law):
+        if isinstance(value, Law | Sine):
             return self.law(value, where)
-        if argument.role in ("frame", "coordinate", "word", "flag"):
+        if argument.role == "sensors":
+            return {name: self.table(x, f"{where}.{name}") for name, x in value.items()}
+        if argument.role in ("frame", "element", "coordinate", "word", "whole", "flag"):
             return value
         if argument.role == "words":
             return list(value)
@@ -159,7 +162,7 @@ class Writer:
             return [row[i] for i, row in enumerate(numbers)]
         return numbers
 
-    def law(self, law: Law, where: str) -> Any:
+    def law(self, law: Law | Sine, where: str) -> Any:
         """Return the value of a law in a file: a list of laws for a sum, the coefficient for a
         linear law, else a table."""
         if isinstance(law, Sum):

@@ -38,7 +38,12 @@ from jaxbody.mechanics.free_motions import FreeMotions
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
-from jaxbody.model.joints.element_tables import completed, inertial_tables, state_rates
+from jaxbody.model.joints.element_tables import (
+    completed,
+    inertial_tables,
+    reads_accelerations,
+    state_rates,
+)
 from jaxbody.model.joints.kinematics import Motions, jacobian
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, size_of
@@ -77,8 +82,8 @@ class ClosedLoops(JointedBodies):
         """Return dy/dt, and the equations [M J'; J 0] from which it follows."""
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
-        v_dot, now, _, saddle = here.solved(t, q, v)
-        rates = state_rates(here.model, now) if len(z) else z
+        v_dot, now, J, saddle = here.solved(t, q, v)
+        rates = here.state_rates(v_dot, now, J)
         return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, rates)), saddle
 
     def _solve(self, t, q, v):
@@ -362,7 +367,8 @@ def dynamics_of(
 ) -> Dynamics:
     """Return the equations of motion of a model under imposed motions and loads, in the form that
     suits the model."""
-    bodies = FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
+    coupled = inertial_tables(model) or reads_accelerations(model)
+    bodies = FreeBodies if all_free(model.layout) and not coupled else JointedBodies
     forms = {"structured": (bodies, ClosedLoops), "lagrange": (LagrangeBodies, LagrangeLoops)}
     return forms[equations][bool(model.closures)](model, motions, loads)
 
@@ -374,6 +380,17 @@ def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
     state = completed(model, state, dynamics.coordinates.at_rest(state.q))
     zero = jnp.zeros((), state.q.dtype)
     return jax.jacfwd(lambda y: dynamics.rate(zero, y))(dynamics.pack(state))
+
+
+def rates(
+    model: Model, state: State, t: Float[Array, ""], motions: Motions, loads: tuple[Load, ...]
+) -> tuple[Float[Array, "nv"], Float[Array, "nz"]]:
+    """Return dv/dt and dz/dt."""
+    dynamics = dynamics_of(holding(model, state.z), motions, loads)
+    v_dot = dynamics.acceleration(t, state.q, state.v)
+    if not model.layout.nz:
+        return v_dot, state.z
+    return v_dot, state_rates(dynamics.model, dynamics.accelerated(t, state))
 
 
 def acceleration(

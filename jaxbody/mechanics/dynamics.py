@@ -38,8 +38,11 @@ from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.element_tables import (
     each_element,
     end_rows,
+    exerted,
+    exerted_by_loads,
     inertial_tables,
     of_table,
+    reads_accelerations,
     state_rates,
     state_scales,
     summed_on_frames,
@@ -134,11 +137,8 @@ class Dynamics(eqx.Module):
         )
 
         def acting(t):
-            now = frames.at_time(t, start)
-            forces = [
-                jnp.linalg.norm(load.wrench(now.frame(layout.frame(load.on)))[0])
-                for load in self.loads
-            ]
+            exerted = exerted_by_loads(self.model, frames.at_time(t, start), self.loads)
+            forces = [jnp.linalg.norm(force) for _, (force, _) in exerted]
             return jnp.stack([jnp.zeros(3), *(motion(t)[:3] for motion in self.motions)]), sum(
                 forces, jnp.zeros(())
             )
@@ -274,9 +274,9 @@ class JointedBodies(Dynamics):
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
-        v_dot, now, _ = here._solve(u, q, v)
+        v_dot, now, J = here._solve(u, q, v)
         return self.model.layout.pack(
-            State(self.coordinates.rate(q, v), v_dot, state_rates(here.model, now) if len(z) else z)
+            State(self.coordinates.rate(q, v), v_dot, here.state_rates(v_dot, now, J))
         )
 
     def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:
@@ -349,13 +349,25 @@ class JointedBodies(Dynamics):
         return v, frames, coordinates.rate_transposed(q, gradient), partial(generalized, *J)
 
     def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
-        v_dot, now, J = self._solve(t, state.q, state.v)
+        return self._moving(*self._solve(t, state.q, state.v))
+
+    def _moving(self, v_dot: Float[Array, "nv"], now: Instant, J: tuple[Array, Array]) -> Instant:
+        """Return the frames with the accelerations that they have for v', from those for v' = 0."""
         first = self.model.layout.first_body
         a, alpha = (
             jnp.asarray(x).at[first:].add(jnp.sum(per_speed * v_dot[None, :, None], 1))
             for x, per_speed in zip((now.a, now.alpha), J, strict=True)
         )
         return replace(now, a=a, alpha=alpha)
+
+    def state_rates(
+        self, v_dot: Float[Array, "nv"], now: Instant, J: tuple[Array, Array]
+    ) -> Float[Array, "nz"]:
+        """Return z' of the model, which holds its states."""
+        if not self.model.layout.nz:
+            return jnp.zeros(0, v_dot.dtype)
+        moving = self._moving(v_dot, now, J) if reads_accelerations(self.model) else now
+        return state_rates(self.model, moving)
 
 
 class FreeBodies(Dynamics):
@@ -411,7 +423,8 @@ class FreeBodies(Dynamics):
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
         now = with_world(supports, Frame(p, R, v, w)).at_time(t, _state(p, quaternion, v, w, z))
-        F, M = (x[model.layout.first_body :] for x in wrenches(model, now, self.loads))
+        acting = exerted(model, now, self.loads)
+        F, M = (x[model.layout.first_body :] for x in wrenches(model, now, acting))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, in body axes
         H = rotate(bodies.inertia, w_B) + cross(c, P)
@@ -494,7 +507,7 @@ def generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> F
 def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[Array, Array]:
     """Return force and moment on each frame about its origin, including those of the inertia of
     elements."""
-    F, M = wrenches(model, now, loads)
+    F, M = wrenches(model, now, exerted(model, now, loads))
     if not inertial_tables(model):
         return F, M
     more = inertial_wrenches(model, now)

@@ -98,6 +98,8 @@ def split_stiffness(model: Model, state: State):
             lambda s, *F: s.potential(*(f.pose() for f in F)),
         )
 
+    if not model.elements:
+        return [], []
     elastic = [
         x.elastic()[:, :n, :n]
         for x in element_derivatives(configuration_at(Coordinates(model), state.q))

@@ -6,7 +6,8 @@ derivatives by the implicit function theorem.
 With closures c = 0 the condition is dV/dDelta + J' lambda = 0, J = dc/dDelta, and stability
 concerns the motions that the closures leave free (free_motions).
 
-The search is by descent. Loads, which may have no potential, are then raised step by
+The search is by descent; with force elements, which have no energy, by Newton's method on the
+balance of forces (force_balances). Loads, which may have no potential, are then raised step by
 step (load_paths); where that cannot start, because K is singular without them, the search descends
 the potential of dead loads and weights.
 """
@@ -22,7 +23,7 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete, tangent_or_nan
+from jaxbody.core.arrays import Array, Bool, Float, Int, is_concrete, tangent_or_nan
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import Problems, Status
@@ -38,7 +39,13 @@ from jaxbody.mechanics.equilibrium_solvers import (
     search_by_descent,
     search_under_loads,
 )
-from jaxbody.mechanics.failure_causes import nonfinite_downhill
+from jaxbody.mechanics.failure_causes import nonfinite_downhill, nonfinite_forces
+from jaxbody.mechanics.force_balances import (
+    change_of_balance,
+    holding_forces,
+    instability,
+    search_for_balance,
+)
 from jaxbody.mechanics.forces_at_rest import (
     ClosureForces,
     by_closure,
@@ -53,6 +60,7 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import (
     AppliedLoads,
     Path,
+    in_full,
     residual,
     tangent,
     with_gravity,
@@ -81,6 +89,7 @@ NOT_AT_REST = (  # no linearization about such a state
     Status.STALE,
     Status.NOT_CLOSED,
     Status.SINGULAR_CLOSURE,
+    Status.NONFINITE_FORCE,
 )
 # displacement, in sizes of the model, and rotation [rad] from its drawn pose above which a body is
 # reported as far from it
@@ -99,10 +108,13 @@ class Equilibrium(Labeled, Result):
     For a model with closures, `closure_reactions` are the forces of closures, `redundant` the
     conditions that others imply.
 
+    With force elements stability follows from the poles of small motions: `negative` is the number
+    of growing ones, `growing` those of oscillations (flutter) and real ones (divergence).
+
     `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM,
-    LIMIT_POINT, NOT_CLOSED or SINGULAR_CLOSURE. Under loads, `load_factor` is the fraction of them
-    that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular
-    without the loads, so that the search descended their potential."""
+    LIMIT_POINT, NOT_CLOSED, SINGULAR_CLOSURE or NONFINITE_FORCE. Under loads, `load_factor` is the
+    fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`:
+    K is singular without the loads, so that the search descended their potential."""
 
     index = "coordinate"
     state: State
@@ -125,6 +137,7 @@ class Equilibrium(Labeled, Result):
     # from there [rad]
     from_drawn: Float[Array, "nb 2"]
     closed: ClosureForces | None = None  # None without closures
+    growing: Int[Array, "2"] | None = None  # None without force elements
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -197,6 +210,8 @@ class Equilibrium(Labeled, Result):
         status = Status(int(self.status))
         if status == Status.SINGULAR_K:
             return "; ".join(zero_modes(self.model, self.state))
+        if status == Status.NONFINITE_FORCE or self.growing is not None:
+            return "; ".join(nonfinite_forces(self.model, self.state)) or self._known()
         if status == Status.NO_EQUILIBRIUM and self.path is None and not self.descended:
             return self._how_much()
         known = np.isfinite(self.state.q).all()  # NaN of a search inside jit
@@ -215,8 +230,13 @@ class Equilibrium(Labeled, Result):
         """Describe a failure from the numbers of the result alone."""
         status = Status(int(self.status))
         match status:
-            case Status.SINGULAR_K:
+            case Status.SINGULAR_K | Status.NONFINITE_FORCE:
                 return "report() names it"
+            case Status.UNSTABLE if self.growing is not None:
+                return instability(self.growing)
+            case Status.NO_EQUILIBRIUM if self.growing is not None:
+                removed = f"{float(self.load_factor):.4g} of the imbalance of the start"
+                return f"Newton's method removed {removed}; start nearer"
             case Status.NOT_CLOSED | Status.SINGULAR_CLOSURE if self.closed:
                 return self.closed.explain(self.model, status)
             case Status.UNSTABLE:
@@ -360,9 +380,10 @@ def equilibrium(
             fixed. A body that is held by hysteresis alone can rest anywhere and stays where
             it is drawn.
         loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by
-            default none. Where K is singular without loads (an unstressed string pushed
-            sideways) the search descends V minus the work of dead forces instead, and the result
-            is `descended`.
+            default none. With force elements they are raised while the imbalance of the start is
+            removed, by Newton's method; the rates of their states are zero at rest. Where K is
+            singular without loads (an unstressed string pushed sideways) the search descends V
+            minus the work of dead forces instead, and the result is `descended`.
         max_steps: largest number of steps of the search.
 
     With closures the search starts from the nearest configuration that fulfills them and stays
@@ -396,11 +417,13 @@ def equilibrium(
         acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
         max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
     q, z = (None, None) if start is None else (start.q, start.z)
+    if model.forces:
+        applied = in_full(acting or (), model.gravity.dtype)
+        search = search_for_balance(model, q, z, applied, max_steps)
+        return finished(_equilibrium_at(model, search, applied, z), at_rest, of_position)
     result = equilibrium_of(model, q, max_steps, z)
     if acting:
-        applied = AppliedLoads(
-            acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))
-        )
+        applied = in_full(acting, model.gravity.dtype)
         result = _equilibrium_at(
             model, search_under_loads(model, result, q, applied, max_steps), applied, result.state.z
         )
@@ -446,19 +469,23 @@ def equilibrium_of(
 
 @program
 def _equilibrium_at(
-    model: Model, search: SearchResult, applied: AppliedLoads, z: Float[Array, "nz"]
+    model: Model, search: SearchResult, applied: AppliedLoads, z: Float[Array, "nz"] | None
 ) -> Equilibrium:
     return equilibrium_at(Coordinates(relaxed(model, z)), search, applied, model)
 
 
 def equilibrium_at(
-    coordinates: Coordinates, search: SearchResult, applied: AppliedLoads, given: Model
+    coordinates: Coordinates,
+    search: SearchResult,
+    applied: AppliedLoads,
+    given: Model,
 ) -> Equilibrium:
     """Return the equilibrium where a search ended: its stability, its derivative, deformations and
     forces. `given`: the model as the user gave it; in the model of the coordinates elements with
     memory are relaxed."""
-    failed = search.status != Status.OK
-    q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
+    failed, singular = search.status != Status.OK, search.singular
+    q, z = _implicit((coordinates, applied), search.q, search.z, ~failed & ~singular)
+    coordinates = coordinates if z is None else holding_forces(coordinates, z)
     model, at = coordinates.model, configuration_at(coordinates, q)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     elements = each_element(
@@ -470,7 +497,6 @@ def equilibrium_at(
         else jnp.zeros(len(model.element_names), bool)
     )
     state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
-    singular = search.singular
     # K is computed with the states of hysteretic elements fixed; in a motion they vary
     if any("hysteretic" in block.roles for block in model.layout.blocks):
         singular &= eigenvalue_signs(resisting_stiffness(given, jax.lax.stop_gradient(state)))[1]
@@ -503,6 +529,7 @@ def equilibrium_at(
         beyond=outside,
         from_drawn=_from_drawn(model, frames),
         closed=forces,
+        growing=search.growing,
     )
 
 
@@ -519,22 +546,28 @@ def _from_drawn(model: Model, frames: Frame) -> Float[Array, "nb 2"]:
 
 @jax.custom_jvp
 def _implicit(
-    dependencies: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]
-) -> Float[Array, "nq"]:
-    """Return q, with the derivative of an equilibrium by the implicit function theorem, NaN where
-    it is not valid."""
-    return q
+    dependencies: tuple[Coordinates, AppliedLoads],
+    q: Float[Array, "nq"],
+    z: Float[Array, "nf"] | None,
+    valid: Bool[Array, ""],
+) -> tuple[Float[Array, "nq"], Float[Array, "nf"] | None]:
+    """Return q and the states z of force elements, with the derivatives of an equilibrium by the
+    implicit function theorem, NaN where it is not valid."""
+    return q, z
 
 
 @_implicit.defjvp
 def _implicit_jvp(primals, tangents):
-    (coordinates, applied), _, valid = primals
-    q = _implicit(*primals)
-
+    (coordinates, applied), _, _, valid = primals
+    q, z = _implicit(*primals)
+    if z is not None:
+        delta, dz = change_of_balance(lambda given: given, primals[0], tangents[0], q, z)
+        q_dot = coordinates.rate(q, tangent_or_nan(valid, delta))
+        return (q, z), (q_dot, tangent_or_nan(valid, dz))
     K = tangent(configuration_at(coordinates, q, base=False), applied)
     K = jnp.where(valid, K, jnp.eye(len(K), dtype=K.dtype))
     delta = change_of_equilibrium(lambda given: given, primals[0], tangents[0], q, K)
-    return q, coordinates.rate(q, tangent_or_nan(valid, delta))
+    return (q, None), (coordinates.rate(q, tangent_or_nan(valid, delta)), None)
 
 
 def change_of_equilibrium(

@@ -173,6 +173,9 @@ class SearchResult(eqx.Module):
     factor: Float[Array, ""]
     path: Path | None = None
     descended: Any = False
+    # with force elements: their states, and the number of growing oscillations and of real poles
+    z: Float[Array, "nf"] | None = None
+    growing: Int[Array, "2"] | None = None
 
 
 def search_by_descent(

@@ -16,7 +16,13 @@ from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import names_of_rows, rank
-from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.element_tables import (
+    at_rest,
+    each_element,
+    each_force,
+    exerted_by_loads,
+    reads_accelerations,
+)
 from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
@@ -67,11 +73,13 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
         return jnp.isfinite(element.force(*frames)).all(), e, rate
 
     wrenches = [
-        jnp.concatenate(load.wrench(now.frame(model.layout.frame(load.on)))) for load in loads
+        jnp.concatenate([x[0] for x in wrench]) for _, wrench in exerted_by_loads(model, now, loads)
     ]
+    own = _finite_at(model, at_rest(now) if reads_accelerations(model) else now)
     return (
         [(jnp.isfinite(motion(moment)).all(),) for motion in motions],
-        _rows(model, each_element(model, now, numbers)),
+        _rows(model, each_element(model, now, numbers))
+        | {name: (one,) for name, one in own.items()},
         [(jnp.isfinite(wrench).all(),) for wrench in wrenches],
     )
 
@@ -113,7 +121,7 @@ def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
             * jax.jvp(jax.jacfwd(motion), (t,), (jnp.ones_like(t),))[1][:3]
             for motion in motions
         ]
-        wrenches = [load.wrench(now.frame(model.layout.frame(load.on)))[0] for load in loads]
+        wrenches = [force for _, (force, _) in exerted_by_loads(model, now, loads)]
         return (
             accelerations,
             _rows(model, each_element(model, now, lambda element, *frames: element.force(*frames))),
@@ -143,6 +151,46 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
     return {
         name: jax.tree.map(lambda x, i=i: x[i], value)
         for table, value in zip(model.elements, values, strict=True)
+        for i, name in enumerate(table.names)
+    }
+
+
+def nonfinite_forces(model: Model, state: State) -> list[str]:
+    """Return the names of the force elements whose force or rates are not finite in a state of
+    rest."""
+    good = _finite_forces(model, State(state.q, jnp.zeros_like(state.v), state.z))
+    return [f"of '{name}'" for name, one in good.items() if not one]
+
+
+@program
+def _finite_forces(model: Model, state: State) -> dict[str, Bool[Array, ""]]:
+    held = holding(model, state.z)
+    return _finite_at(held, at_rest(Coordinates(held).at_rest(state.q)))
+
+
+def _finite_at(model: Model, now: Any) -> dict[str, Bool[Array, ""]]:
+    """Return whether forces and rates are finite, for each force element of a model that holds its
+    states."""
+
+    def finite(function, rates):
+        return [
+            jnp.stack([jnp.isfinite(x).reshape(len(table), -1).all(1) for x in parts]).all(0)
+            for table, parts in zip(
+                model.forces,
+                map(jax.tree.leaves, each_force(model, now, function, rates=rates)),
+                strict=True,
+            )
+        ]
+
+    both = zip(
+        finite(lambda x, now: x.forces(now), False),
+        finite(lambda x, now: x.rates(now), True),
+        strict=True,
+    )
+    rows = [one & other for one, other in both]
+    return {
+        name: row[i]
+        for table, row in zip(model.forces, rows, strict=True)
         for i, name in enumerate(table.names)
     }
 

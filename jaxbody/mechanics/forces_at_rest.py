@@ -25,7 +25,7 @@ from jaxbody.mechanics.free_motions import (
     slopes_by_supports,
 )
 from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
-from jaxbody.mechanics.load_paths import AppliedLoads, generalized_force, summed, with_load_gravity
+from jaxbody.mechanics.load_paths import AppliedLoads, acting_at_rest, with_load_gravity
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, turning_rows
 from jaxbody.model.joints.kinematics import Coordinates
@@ -140,17 +140,11 @@ def residual_and_reactions(
     plus the loads on all that it carries by joints, in world axes. `at` has columns for the
     base."""
     layout, nv = at.model.layout, at.model.layout.nv
-    G = slope(with_load_gravity(at, applied, factor))
-    Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(nv, at.q.dtype))
-    total, twists, t = -G[nv:], frame_twists(at)[:, nv:], jnp.zeros((), at.q.dtype)
-    for load, weight in zip(applied.loads, applied.weights, strict=True):
-        row = layout.frame(load.on)
-        now = at.frames[row].at_time(t)
-        F, M = summed(
-            lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight
-        )
-        total = total + factor * jnp.sum(twists[row] * jnp.concatenate([F, M])[None], -1)
-    return G[:nv] - factor * Q, total.reshape(-1, 6)
+    total, twists = -slope(with_load_gravity(at, applied, factor)), frame_twists(at)
+    for on, wrenches in acting_at_rest(at.model, at.frames, applied, factor):
+        rows = np.array([layout.frame(name) for name in on])
+        total = total + jnp.sum(twists[rows] * jnp.concatenate(wrenches, -1)[:, None], (0, 2))
+    return -total[:nv], total[nv:].reshape(-1, 6)
 
 
 def element_rows(

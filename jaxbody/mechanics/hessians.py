@@ -54,17 +54,21 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(eqx.Module):
-    """A model with its bodies at q and its supports in their reference poses. `frames`: all frames;
-    `turns`: for each component of (Delta, Xi), or of Delta alone if `base` is False, the rotation
-    per unit that it gives the frame whose coordinate it is; `J`: the displacement and rotation of
-    every frame per unit of each component, None if all bodies are free."""
+    """A model with its bodies at q and its supports in the poses of `coordinates`. `frames`: all
+    frames; `turns`: for each component of (Delta, Xi), or of Delta alone if `base` is False, the
+    rotation per unit that it gives the frame whose coordinate it is; `J`: the displacement and
+    rotation of every frame per unit of each component, None if all bodies are free."""
 
-    model: Model
+    coordinates: Coordinates
     q: Float[Array, "nq"]
     frames: Frame
     turns: Float[Array, "n 3"]
     J: Float[Array, "frames n 6"] | None
     base: bool = eqx.field(static=True)
+
+    @property
+    def model(self) -> Model:
+        return self.coordinates.model
 
 
 def configuration_at(
@@ -76,7 +80,7 @@ def configuration_at(
 ) -> Configuration:
     """Return the configuration at q, with the bodies at rest or at the speeds v; `base`: whether it
     has columns for the displacements Xi of the supports."""
-    model, layout = coordinates.model, coordinates.model.layout
+    layout = coordinates.model.layout
     v = jnp.zeros(layout.nv, q.dtype) if v is None else v
     frames, (linear, angular) = coordinates.frames_and_axes(q, v, coordinates.supports.at_rest())
     if base:
@@ -86,7 +90,7 @@ def configuration_at(
             jnp.concatenate([angular, own[:, 3:]]),
         )
     J = None if all_free(layout) else jnp.concatenate(jacobian(layout, frames, linear, angular), -1)
-    return Configuration(model, q, frames, angular, J, base)
+    return Configuration(coordinates, q, frames, angular, J, base)
 
 
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:

@@ -57,7 +57,8 @@ def inner_rows(at: Configuration) -> InnerRows:
         block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy")
     )
     if 0 < len(layout.inertial) < len(K_yy):
-        order = np.searchsorted(np.sort(layout.inner_places), layout.inner_places)
+        places = layout.inner_places[: len(K_yy)]
+        order = np.searchsorted(np.sort(places), places)
         K_yx, C_yx, K_yy, C_yy, M_yy = (
             K_yx[order],
             C_yx[order],
@@ -88,7 +89,8 @@ def inserted(
 
 
 def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
-    """Return T, with (Delta, y, Xi) = T (Delta, Xi) in slow motions."""
+    """Return T, with (Delta, y, Xi) = T (Delta, Xi) in slow motions; of K', the combinations of
+    rows in which y has no effect to first order."""
     own, x = slice(nv, nv + ny), jnp.concatenate([jnp.arange(nv), jnp.arange(nv + ny, len(K))])
     one = jnp.eye(len(x), dtype=K.dtype)
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
@@ -96,18 +98,22 @@ def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
 
 def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
     """Return M and K of Delta alone in slow motions."""
-    T = following(K, nv, len(K) - nv)
-    return T.T @ M @ T, T.T @ K @ T
+    left, right = following(K.T, nv, len(K) - nv), following(K, nv, len(K) - nv)
+    return left.T @ M @ right, left.T @ K @ right
 
 
 def whole_matrices(at: Configuration) -> tuple[tuple[Float[Array, "m m"], ...], Float[Array, "n"]]:
     """Return M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi), where the coordinates y of
     elements are coordinates of the system in the model of the configuration."""
-    nv, ny = at.model.layout.nv, len(at.model.layout.inner)
+    nv, nf = at.model.layout.nv, len(at.model.layout.first_order)
+    ny = len(at.model.layout.inner) - nf
     _, slope, stiffness = expansion(at)
     whole = mass(at), damping(at), stiffness
     if ny:
         inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), at.q.dtype)
         rows = (zero, inner.M_yy), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
         whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
+    if nf:  # rows of force elements, which `lagrange.force_matrices` fills
+        own = jnp.zeros((nf, len(whole[0])), at.q.dtype), jnp.zeros((nf, nf), at.q.dtype)
+        whole = tuple(inserted(H, *own, nv + ny) for H in whole)
     return whole, slope

@@ -3,14 +3,14 @@ at each step.
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
-Q is the generalized force of the loads with respect to Delta. A step is taken if Newton's method
+Q is the generalized force of the loads with respect to Delta; that of force elements is not
+multiplied by lambda. A step is taken if Newton's method
 converges, with K positive definite at every iteration, so that the path stays on the stable branch
 of the unloaded equilibrium; otherwise the step is divided by four.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,12 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, stack
-from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
 from jaxbody.mechanics.free_motions import moved, on_closures
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.model.elements.second_derivatives import turning
 from jaxbody.model.inputs.loads import Load
+from jaxbody.model.joints.element_tables import (
+    Acting,
+    at_rest,
+    exerted,
+    exerted_by_loads,
+)
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scaled
@@ -59,6 +65,11 @@ class AppliedLoads(eqx.Module):
             return function(AppliedLoads(self.loads, weights, gravity), *more)
 
         return jax.vmap(one)(self.weights, self.gravity, *more)
+
+
+def in_full(loads: tuple[Load, ...], dtype: Any) -> AppliedLoads:
+    """Return these loads, each once, and no change of gravity."""
+    return AppliedLoads(loads, jnp.ones(len(loads), dtype), jnp.zeros(3, dtype))
 
 
 def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
@@ -99,50 +110,68 @@ def with_load_gravity(
 ) -> Configuration:
     """Return the configuration with the fraction `factor` of the change of gravity in `applied`
     added to the gravity of its model."""
-    return dataclasses.replace(at, model=with_gravity(at.model, factor * applied.gravity))
+    return eqx.tree_at(
+        lambda at: at.coordinates.model, at, with_gravity(at.model, factor * applied.gravity)
+    )
+
+
+def acting_at_rest(
+    model: Model, frames: Frame, applied: AppliedLoads, factor: Float[Array, ""] | float
+) -> Acting:
+    """Return the forces and moments of loads, times `factor`, and of the force elements of a model
+    that holds its states, on frames at rest."""
+    now, parts = at_rest(frames), []
+
+    def one(load, weight):
+        wrenches = (wrench for _, wrench in exerted_by_loads(model, now, (load,)))
+        return [tuple(factor * weight * x for x in wrench) for wrench in wrenches]
+
+    for load, weight in zip(applied.loads, applied.weights, strict=True):
+        parts += [
+            ((name,), x) for name, x in zip(load.between, summed(one, load, weight), strict=True)
+        ]
+    return parts + exerted(model, now)
 
 
 def generalized_force(
-    model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]
+    at: Configuration,
+    applied: AppliedLoads,
+    factor: Float[Array, ""] | float = 1.0,
+    delta: Float[Array, "nv"] | None = None,
 ) -> Float[Array, "nv"]:
-    """Return Q at q (+) Delta for the rates of Delta, from the virtual power sum of F . v* + M .
-    w*, with the supports at their reference poses."""
-    if not loads:
+    """Return Q at q (+) Delta for the rates of Delta, by default at q, from the virtual power sum
+    of F . v* + M . w*: that of loads, times `factor`, and that of force elements."""
+    coordinates, q = at.coordinates, at.q
+    layout = coordinates.model.layout
+    delta = jnp.zeros(layout.nv, q.dtype) if delta is None else delta
+    if not applied.loads and not at.model.forces:
         return jnp.zeros_like(delta)
-    coordinates = Coordinates(model)
-    at, pull = jax.vjp(
+    poses, pull = jax.vjp(
         lambda delta: coordinates.at_rest(coordinates.retract(q, delta)).pose(), delta
     )
-    p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)
-    for load, weight in zip(loads, weights, strict=True):
-        i = model.layout.frame(load.on)
-        now = at[i].at_rest().at_time(jnp.zeros((), q.dtype))
-        F, M = summed(
-            lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight
-        )
-        p = p.at[i].add(F)
-        R = R.at[i].add(product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
+    p, R = jnp.zeros_like(poses.p), jnp.zeros_like(poses.R)
+    for on, (F, M) in acting_at_rest(at.model, poses.at_rest(), applied, factor):
+        rows = np.array([layout.frame(name) for name in on])
+        p = p.at[rows].add(F)
+        R = R.at[rows].add(product(skew(M), poses.R[rows]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]
 
 
 def stiffness_of_loads(
-    model: Model, q, loads: tuple[Load, ...], weights: Any
+    at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Float[Array, "nv nv"]:
     """Return dQ/dDelta."""
-    zero = jnp.zeros(model.layout.nv, q.dtype)
-    if not loads:
-        return jnp.zeros((len(zero), len(zero)), q.dtype)
-    return jax.jacfwd(lambda delta: generalized_force(model, q, loads, weights, delta))(zero)
+    zero = jnp.zeros(at.model.layout.nv, at.q.dtype)
+    if not applied.loads and not at.model.forces:
+        return jnp.zeros((len(zero), len(zero)), at.q.dtype)
+    return jax.jacfwd(lambda delta: generalized_force(at, applied, factor, delta))(zero)
 
 
 def residual(
     at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0
 ) -> Float[Array, "nv"]:
     """Return dV/dDelta - lambda Q for lambda = `factor`; `at` has no columns for the base."""
-    Q = generalized_force(
-        at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype)
-    )
-    return slope(with_load_gravity(at, applied, factor)) - factor * Q
+    return slope(with_load_gravity(at, applied, factor)) - generalized_force(at, applied, factor)
 
 
 def tangent(
@@ -150,8 +179,8 @@ def tangent(
 ) -> Float[Array, "nv nv"]:
     """Return K = d2V/dDelta2 - lambda dQ/dDelta for lambda = `factor`; `at` has no columns for the
     base."""
-    return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(
-        at.model, at.q, applied.loads, applied.weights
+    return stiffness(with_load_gravity(at, applied, factor)) - stiffness_of_loads(
+        at, applied, factor
     )
 
 

@@ -34,7 +34,7 @@ from jaxbody.model.joints.closure_tables import drawn
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_precision, check_state
+from jaxbody.model.preconditions import check_potential, check_precision, check_state
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import reachable
@@ -150,6 +150,7 @@ def preload(
     0.7
     """
     check_precision("preload", model)
+    check_potential("preload", model)
     state = model.reference if pose is None else pose
     check_state(model, state, "pose")
     with Problems() as problems:

@@ -25,6 +25,7 @@ from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.equilibria import Equilibrium, change_of_equilibrium, equilibrium_at
 from jaxbody.mechanics.equilibrium_solvers import AT_REST, no_loads, search_by_descent
+from jaxbody.mechanics.force_balances import change_of_balance, from_start
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import tangent
 from jaxbody.model.element_states import holding, relaxed
@@ -39,7 +40,12 @@ from jaxbody.model.joints.kinematics import (
     rest_poses,
 )
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_independent, check_precision, check_state
+from jaxbody.model.preconditions import (
+    check_independent,
+    check_potential,
+    check_precision,
+    check_state,
+)
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
 
@@ -65,13 +71,18 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
 
     on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
-    eq = equilibrium_at(
-        on_supports,
-        search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS),
-        unloaded,
-        model,
+    start = _start(coordinates, on_supports)
+    search = (
+        from_start(on_supports, start, unloaded, model, MAX_STEPS, stability=False)
+        if model.forces
+        else search_by_descent(on_supports, start, MAX_STEPS)
     )
+    eq = equilibrium_at(on_supports, search, unloaded, model)
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
+    if model.forces:
+        z = eq.state.z[model.layout.first_order]
+        v, _ = change_of_balance(lambda xi: (displaced(xi), unloaded), xi, xi_dot, q, z)
+        return jax.tree.map(lambda x: rows_or_nan(valid, x), State(q, v, eq.state.z)), eq
     K = tangent(configuration_at(on_supports, q, base=False), unloaded)
     K = jnp.where(valid, K, jnp.nan)
     v = change_of_equilibrium(lambda xi: (displaced(xi), unloaded), xi, xi_dot, q, K)
@@ -139,6 +150,7 @@ def excitation(
     5.0
     """
     check_precision("excitation", model)
+    check_potential("excitation", model)
     check_independent("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")

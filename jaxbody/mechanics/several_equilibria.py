@@ -29,7 +29,12 @@ from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiff
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_attached, check_memory, check_precision
+from jaxbody.model.preconditions import (
+    check_attached,
+    check_memory,
+    check_potential,
+    check_precision,
+)
 from jaxbody.model.sizes import scale_of, scaled, size_of
 
 # difference of energy, relative to the range of energies, below which two solutions may be the same
@@ -123,6 +128,7 @@ def find_equilibria(
     [True, False]
     """
     check_precision("find_equilibria", model)
+    check_potential("find_equilibria", model)
     check_memory("find_equilibria", model)
     check_attached(model)
     with Problems() as problems:

@@ -33,10 +33,17 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import AppliedLoads, alike, residual, summed
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
+from jaxbody.model.joints.element_tables import exerted_by_loads
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.model.preconditions import (
+    check_attached,
+    check_memory,
+    check_potential,
+    check_precision,
+    check_state,
+)
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 
@@ -220,6 +227,7 @@ def load_cases(
     [-0.005516, 0.001]
     """
     check_precision("load_cases", model)
+    check_potential("load_cases", model)
     check_memory("load_cases", model)
     check_attached(model)
     with Problems() as problems:
@@ -289,8 +297,8 @@ def _load_cases(
     def largest_of(load, weight):
         """Return the largest component of the force of a load at rest, or of its moment over the
         size of the model."""
-        frame = rest.frames[model.layout.frame(load.on)]
-        force, moment = load.wrench(frame.at_time(jnp.zeros((), scale.dtype), unloaded.state))
+        now = rest.frames.at_time(jnp.zeros((), scale.dtype), unloaded.state)
+        ((_, (force, moment)),) = exerted_by_loads(model, now, (load,))
         return weight * jnp.maximum(
             jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model)
         )

@@ -19,10 +19,11 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.fields import resolved, words_along
 from jaxbody.geometry.frames import Pose
+from jaxbody.model.forces.force_elements import state_units_of
 from jaxbody.model.laws.law_states import Apart, Held, Relaxed, memories, with_states
 from jaxbody.model.laws.memory_laws import Memory
 from jaxbody.model.layouts import CoordinateBlock
-from jaxbody.model.storage import KindTable
+from jaxbody.model.storage import KindTable, with_attributes
 
 Z = Float[Array, "nz"]
 
@@ -38,6 +39,27 @@ def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
                 for name in table.names
             ]
     return tuple(blocks)
+
+
+def blocks_of_forces(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
+    """Return the blocks of the force elements with states, in the order of their tables."""
+    return tuple(
+        CoordinateBlock(
+            name,
+            type(table.rows),
+            (),
+            (),
+            (),
+            False,
+            states,
+            state_units_of(table.rows),
+            ("first order",) * len(states),
+            ("",) * len(states),
+        )
+        for table in tables
+        for name in table.names
+        if (states := table.rows.states)
+    )
 
 
 def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
@@ -74,7 +96,33 @@ def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
             columns = [z[start : start + n * width].reshape(n, width) for z in states]
             table, start = _with_states(table, make, columns), start + n * width
         tables.append(table)
-    return eqx.tree_at(lambda model: model.elements, model, tuple(tables))
+    held = eqx.tree_at(lambda model: model.elements, model, tuple(tables)) if tables else model
+    if all(table.rows.z is not None for table in model.forces if table.rows.states):
+        return held
+    _check_given(model, states[0])
+    return with_force_states(held, states[0][start:])
+
+
+def with_force_states(model: Any, z: Float[Array, "nf"]) -> Any:
+    """Return the model with the states z of its force elements."""
+    tables, start = [], 0
+    for table in model.forces:
+        n, width = len(table.names), len(table.rows.states)
+        own, start = z[start : start + n * width].reshape(n, width), start + n * width
+        tables.append(_with_force_states(table, own) if width else table)
+    return eqx.tree_at(lambda model: model.forces, model, tuple(tables))
+
+
+def force_states(model: Any) -> Float[Array, "nf"]:
+    """Return the states of the force elements of a model that holds them."""
+    parts = [table.rows.z.reshape(-1) for table in model.forces if table.rows.states]
+    return jnp.concatenate([jnp.zeros(0, model.gravity.dtype), *parts])
+
+
+def _with_force_states(table: KindTable, z: Float[Array, "n width"]) -> KindTable:
+    ranks = jax.tree.unflatten(jax.tree.structure(table.rows), table.ranks)
+    ranks = tuple(jax.tree.leaves(with_attributes(ranks, {"z": 1})))
+    return KindTable(table.names, table.links, ranks, with_attributes(table.rows, {"z": z}))
 
 
 def _check_given(model: Any, z: Z) -> None:
@@ -185,4 +233,4 @@ def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
                     table.rows, *at
                 ).reshape(-1)
             )
-    return jnp.concatenate(parts)
+    return jnp.concatenate([*parts, force_states(relaxed(model, z))])

@@ -34,7 +34,7 @@ class CoordinateBlock:
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
     # role of each state: a coordinate with a row in M, C and K, "massless" or "inertial"; the
-    # "rate" of an inertial coordinate; or "hysteretic"
+    # "rate" of an inertial coordinate; "hysteretic"; or "first order", that of a force element
     roles: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
@@ -265,6 +265,11 @@ class Layout:
         return self._places("inertial")
 
     @cached_property
+    def first_order(self) -> np.ndarray:
+        """Indices in z of the states of force elements, the last ones."""
+        return self._places("first order")
+
+    @cached_property
     def inner_rates(self) -> np.ndarray:
         """Indices in z of the rates of coordinates with mass."""
         return self._places("rate")
@@ -272,8 +277,8 @@ class Layout:
     @cached_property
     def inner_places(self) -> np.ndarray:
         """Indices in z of the coordinates of elements, in the order of their rows in M, C and K:
-        those with mass, then massless ones."""
-        return np.concatenate([self.inertial, self.massless])
+        those with mass, massless ones, and the states of force elements."""
+        return np.concatenate([self.inertial, self.massless, self.first_order])
 
     @cached_property
     def follows_angles(self) -> np.ndarray:

@@ -115,6 +115,7 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
         model.supports,
         *model.joints,
         *model.elements,
+        *model.forces,
         *model.closures,
     )
     for table, rows in zip(tables(numbers), [table.rows for table in tables(tree)], strict=True):

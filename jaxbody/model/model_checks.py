@@ -70,7 +70,8 @@ def check_names(problems: Problems, groups: dict[str, dict[str, Any]]) -> None:
 def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
     """Return the objects of the right kind; a problem is added for each of the others."""
     for name, thing in things.items():
-        check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
+        word = getattr(kind, "__name__", "Element")
+        check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{word}", problems)
     if group == "bodies" and not things:
         problems.add(
             "NO_BODY",

@@ -21,7 +21,7 @@ from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.model.bodies import Body, Support, warn_of_points
-from jaxbody.model.element_states import blocks_of, end_rows
+from jaxbody.model.element_states import blocks_of, blocks_of_forces, end_rows
 from jaxbody.model.elements.element_checks import check_laws, check_leaves
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.user_energies import (
@@ -32,6 +32,7 @@ from jaxbody.model.elements.user_energies import (
     own_functions,
     unwrapped,
 )
+from jaxbody.model.forces.force_elements import ForceElement, check_force
 from jaxbody.model.joints.joints import Free, Joint
 from jaxbody.model.joints.kinematics import (
     Coordinates,
@@ -58,7 +59,7 @@ from jaxbody.numerics.small_systems import independent_rows
 KINDS = {
     "bodies": Body,
     "supports": Support,
-    "elements": Element,
+    "elements": Element | ForceElement,
     "joints": Joint,
     "closures": Closure,
 }
@@ -76,7 +77,7 @@ class Model(tables.Printed, eqx.Module):
     Args:
         bodies: {name: body}
         supports: {name: support}
-        elements: {name: element}
+        elements: {name: element, or a ForceElement, which has no potential}
         joints: {name of the body that the joint carries: joint}; a body without a joint is free
         closures: {name: closure}, which close loops of joints: `jb.closures`
         gravity: [m/s2], in world axes
@@ -107,6 +108,7 @@ class Model(tables.Printed, eqx.Module):
     supports: KindTable
     joints: tuple[KindTable, ...]
     elements: tuple[KindTable, ...]
+    forces: tuple[KindTable, ...]  # of elements without a potential
     closures: tuple[KindTable, ...]
     layout: Layout = eqx.field(static=True)
     # speeds that closures leave free, in the reference pose; None if traced
@@ -118,7 +120,7 @@ class Model(tables.Printed, eqx.Module):
         *,
         bodies: dict[str, Body],
         supports: dict[str, Support] | None = None,
-        elements: Mapping[str, Element] | None = None,
+        elements: Mapping[str, Element | ForceElement] | None = None,
         joints: dict[str, Joint] | None = None,
         closures: dict[str, Closure] | None = None,
         gravity=(0, 0, 0),
@@ -155,6 +157,8 @@ class Model(tables.Printed, eqx.Module):
             elements[name] = functions_as_nodes(element).as_drawn(*turns)
             check_leaves(problems, f"elements[{name!r}]", elements[name])
         check_laws(problems, elements)
+        forces = {name: x for name, x in elements.items() if isinstance(x, ForceElement)}
+        elements = {name: x for name, x in elements.items() if name not in forces}
         for group, kind in OWN_FUNCTIONS.items():
             elements |= own_functions(problems, group, kind, parts[group], drawn)
         check_reference(problems, drawn, {"elements": elements, "closures": closures})
@@ -163,9 +167,9 @@ class Model(tables.Printed, eqx.Module):
         parents = tuple(joint.parent for joint in joints.values())
         blocks = tuple(joint.block(name) for name, joint in joints.items())
         self.elements = tabulate_by_structure(elements)
-        self.layout = Layout(
-            tuple(bodies), tuple(supports), parents, blocks + blocks_of(self.elements)
-        )
+        self.forces = tabulate_by_structure(forces)
+        blocks += blocks_of(self.elements) + blocks_of_forces(self.forces)
+        self.layout = Layout(tuple(bodies), tuple(supports), parents, blocks)
         depth = self.layout.depths.__getitem__
         self.bodies = tabulate(bodies)
         self.supports = tabulate(supports, Support())
@@ -182,7 +186,10 @@ class Model(tables.Printed, eqx.Module):
         self.gravity = device_array(gravity)
         self.independent = None
         self.independent = independent_speeds(self)
-        warn_of_oddities(bodies, elements)
+        with Problems() as problems:
+            for name, force in forces.items():
+                check_force(problems, f"elements[{name!r}]", force, self)
+        warn_of_oddities(bodies, elements | forces)
         warn_of_points(
             {
                 name: body
@@ -194,11 +201,17 @@ class Model(tables.Printed, eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """All names of bodies, supports, elements, energies, dissipations and closures."""
-        return self.layout.bodies + self.layout.supports + self.owner_names + self.closure_names
+        frames = self.layout.bodies + self.layout.supports
+        return frames + self.owner_names + self.force_names + self.closure_names
 
     @property
     def element_names(self) -> tuple[str, ...]:
         return tuple(name for table in self.attached for name in table.names)
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        """The names of the elements without a potential."""
+        return tuple(name for table in self.forces for name in table.names)
 
     @property
     def energy_names(self) -> tuple[str, ...]:
@@ -221,7 +234,8 @@ class Model(tables.Printed, eqx.Module):
         return tuple(name for table in self.closures for name in table.names)
 
     def __getitem__(self, name: str) -> Any:
-        for tables_of_kind in ((self.bodies, self.supports), self.elements, self.closures):
+        bodies = (self.bodies, self.supports)
+        for tables_of_kind in (bodies, self.elements, self.forces, self.closures):
             for table in tables_of_kind:
                 if name in table.names:
                     return unwrapped(table.row(name))
@@ -245,7 +259,7 @@ class Model(tables.Printed, eqx.Module):
         names |= {
             "bodies": self.layout.bodies,
             "supports": self.layout.supports,
-            "elements": self.element_names,
+            "elements": self.element_names + self.force_names,
             "closures": self.closure_names,
         }
         parts = {group: {name: self[name] for name in each} for group, each in names.items()}
@@ -274,7 +288,7 @@ class Model(tables.Printed, eqx.Module):
         shown = [
             tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)
         ]
-        for table in self.elements:
+        for table in (*self.elements, *self.forces):
             columns, kind = self._columns(table), type(self[table.names[0]]).__name__.lower()
             own = isinstance(table.rows, OfFrames)
             kind = "function" if kind == "partial" else kind
@@ -287,6 +301,7 @@ class Model(tables.Printed, eqx.Module):
                 for name, link in zip(table.names, table.links, strict=True)
             ]
             heads = ("of",) if own else ("from", "to", "on")[: len(table.links[0])]
+            heads = ("on",) if len(table.links[0]) == 1 else heads
             shown.append(tables.PrintedTable("", (kind, *heads, *columns.values()), rows))
         rows = [
             (n, type(t.rows).__name__.lower(), *link)

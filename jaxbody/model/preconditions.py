@@ -149,7 +149,9 @@ def check_attached(model: Model) -> None:
 def unattached(model: Model) -> list[str]:
     """Return the bodies without a path of elements, joints and closures to the world or a
     support."""
-    links = [link for table in (*model.elements, *model.closures) for link in table.links]
+    links = [
+        link for table in (*model.elements, *model.forces, *model.closures) for link in table.links
+    ]
     links += [
         link
         for link in zip(model.layout.bodies, model.layout.parents, strict=True)
@@ -176,6 +178,21 @@ def check_without_memory(where: str, model: Model) -> None:
                 ),
                 limit="laws without memory",
                 hint="Replace their laws.",
+            )
+        )
+
+
+def check_potential(where: str, model: Model) -> None:
+    """Refuse a model with force elements, in functions that need a potential energy. Error:
+    NO_POTENTIAL."""
+    if model.forces:
+        raise JaxbodyError(
+            Problem(
+                "NO_POTENTIAL",
+                f"{where}.model",
+                f"has elements without a potential: {', '.join(model.force_names[:4])}",
+                limit="elements with a potential energy",
+                hint="Leave them out, or use equilibrium, linearize, complex_modes and simulate.",
             )
         )
 

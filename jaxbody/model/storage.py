@@ -119,8 +119,13 @@ def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tupl
 
 def with_link(module: Any, link: Any) -> Any:
     """Return a copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
+    return with_attributes(module, {x: link for x in ("between", "parent") if x in vars(module)})
+
+
+def with_attributes(module: Any, changed: dict[str, Any]) -> Any:
+    """Return a copy with these attributes, without a call of its constructor."""
     copy = object.__new__(type(module))
     # only attributes of the object: copies of class attributes would change the tree structure
-    for name, value in vars(module).items():
-        object.__setattr__(copy, name, link if name in ("between", "parent") else value)
+    for name, value in (vars(module) | changed).items():
+        object.__setattr__(copy, name, value)
     return copy

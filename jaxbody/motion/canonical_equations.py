@@ -22,7 +22,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.dynamics import Dynamics
-from jaxbody.model.joints.element_tables import wrenches
+from jaxbody.model.joints.element_tables import exerted, wrenches
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 
@@ -58,10 +58,9 @@ class Canonical(eqx.Module):
         v, frames, slope, generalized = self.dynamics.speeds(
             q, coordinates.rate_transposed(q, p), self._supports(t)
         )
-        F, M = (
-            x[self.model.layout.first_body :]
-            for x in wrenches(self.model, frames.at_time(t, State(q, v)), self.dynamics.loads)
-        )
+        now = frames.at_time(t, State(q, v))
+        acting = exerted(self.model, now, self.dynamics.loads)
+        F, M = (x[self.model.layout.first_body :] for x in wrenches(self.model, now, acting))
         gradient = jax.grad(lambda q: jnp.sum(p * coordinates.rate(q, v)))(q)
         return jnp.concatenate(
             [coordinates.rate(q, v), self._lift(q, generalized(F, M) + slope) - gradient]

@@ -22,6 +22,7 @@ from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_potential
 from jaxbody.model.sizes import options_of_motion
 from jaxbody.motion.canonical_equations import Canonical
 from jaxbody.motion.trajectories import Trajectory
@@ -196,8 +197,9 @@ def _after(t0, controller):
 
 
 def _check_for_gauss(model: Model) -> None:
-    """Refuse models that Gauss cannot integrate: those with states of elements or with closures.
-    Errors: MEMORY, CLOSED_LOOPS."""
+    """Refuse models that Gauss cannot integrate: those with states of elements, with force
+    elements or with closures. Errors: MEMORY, NO_POTENTIAL, CLOSED_LOOPS."""
+    check_potential("jb.Gauss", model)
     if model.layout.nz:
         raise JaxbodyError(
             Problem(

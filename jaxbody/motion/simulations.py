@@ -35,17 +35,20 @@ from jaxbody.core.arrays import (
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
-from jaxbody.mechanics.closed_loops import acceleration, state_slopes
+from jaxbody.mechanics.closed_loops import rates, state_slopes
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.quasi_static_states import Rest, as_initial, initial_state_of
-from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
-from jaxbody.model.joints.element_tables import state_rates
-from jaxbody.model.joints.kinematics import Chart, Motions, frames_at_time
+from jaxbody.model.joints.kinematics import Chart, Motions
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_moves, check_precision, check_state, unattached
+from jaxbody.model.preconditions import (
+    check_moves,
+    check_precision,
+    check_state,
+    unattached,
+)
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
 from jaxbody.motion.integrations import CONSTANT, integrate
@@ -384,7 +387,7 @@ def _warn_of_long_steps(
     state, y' = A y."""
     A = (
         state_slopes(model, initial)
-        if model.layout.nz or model.closures
+        if model.layout.nz or model.closures or model.forces
         else companion(*map(np.asarray, matrices(model, initial)))
     )
     fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
@@ -516,17 +519,9 @@ class EquationsOfMotion(eqx.Module):
 
     def __call__(self, t: Any, state: State, model: Model) -> State:
         """Return the rates q', v' and z' of a state at time t [s]."""
-        time, held = jnp.asarray(t, state.q.dtype), holding(model, state.z)
-        z_dot = (
-            state_rates(held, frames_at_time(held, self.motions, time, state))
-            if model.layout.nz
-            else state.z
-        )
-        return State(
-            Chart(model).rate(state.q, state.v),
-            acceleration(model, state, time, self.motions, self.loads),
-            z_dot,
-        )
+        time = jnp.asarray(t, state.q.dtype)
+        v_dot, z_dot = rates(model, state, time, self.motions, self.loads)
+        return State(Chart(model).rate(state.q, state.v), v_dot, z_dot)
 
     def trajectory(self, times: Float[Array, "nt"], states: State, model: Model) -> Trajectory:
         """Return the states at these times, such as `ts` and `ys` of a solution, as a Trajectory,

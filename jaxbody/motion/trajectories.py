@@ -17,7 +17,7 @@ from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
-from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.frames import Instant, Pose
 from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
 from jaxbody.mechanics.dynamics import accelerated
@@ -35,7 +35,15 @@ from jaxbody.mechanics.null_motions import massless_motions
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import turning_rows
-from jaxbody.model.joints.element_tables import each_element, inertial_tables, outside_law_range
+from jaxbody.model.joints.element_tables import (
+    Acting,
+    each_element,
+    exerted,
+    exerted_by_loads,
+    inertial_tables,
+    outside_law_range,
+    reads_accelerations,
+)
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.leaf_paths import by_name, of_elements
 from jaxbody.model.models import Model
@@ -112,11 +120,14 @@ class Trajectory(Labeled, Result):
     @property
     def powers(self) -> dict[str, Array]:
         """{"damping": power dissipated by all elements, "supports" and "loads": power that the
-        imposed motions and the loads supply [W] (nt,)}."""
+        imposed motions and the loads supply, "force elements": power that these supply, which have
+        no potential, if there are any [W] (nt,)}."""
+        forces = {"force elements": self.at_samples(_force_power, loads=True)}
         return {
             "damping": sum(self.lost_powers.values(), jnp.zeros_like(self.times)),
             "supports": self.at_samples(_support_power, loads=True),
             "loads": self.at_samples(_load_power, loads=True),
+            **(forces if self.model.forces else {}),
         }
 
     @property
@@ -393,12 +404,26 @@ def _closure_reactions(model, motions, t, state, loads):
 
 def _load_power(model, motions, t, state, loads):
     now = frames_at_time(model, motions, t, state)
-    on = [now.frame(model.layout.frame(load.on)) for load in loads]
-    wrenches = [(*load.wrench(frame), frame) for load, frame in zip(loads, on, strict=True)]
-    return sum(
-        (jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches),
-        jnp.zeros((), state.q.dtype),
+    return _power(model, now, exerted_by_loads(model, now, loads))
+
+
+def _force_power(model, motions, t, state, loads):
+    now = (
+        dynamics_of(model, motions, loads).accelerated(t, state)
+        if reads_accelerations(model)
+        else frames_at_time(model, motions, t, state)
     )
+    return _power(model, now, exerted(model, now))
+
+
+def _power(model: Model, now: Instant, acting: Acting) -> Float[Array, ""]:
+    """Return the power of forces and moments on frames."""
+    powers = (
+        jnp.sum(F * now.v[rows]) + jnp.sum(M * now.w[rows])
+        for on, (F, M) in acting
+        for rows in [np.array([model.layout.frame(name) for name in on])]
+    )
+    return sum(powers, jnp.zeros((), now.p.dtype))
 
 
 def _support_power(model, motions, t, state, loads):

@@ -291,24 +291,24 @@ def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
 
         M (Delta, y)'' + C (Delta, y)' + K (Delta, y) = f.
 
-    The rows of y, those after the first n, have M = 0 and a definite C_yy."""
-    ny, eye = len(M) - n, np.eye(n, dtype=K.dtype)
+    The columns of y, those after the first n, have M = 0: (Delta'', y') follow from the matrix
+    [M_d, C_y] of their columns."""
+    m = len(M)
     d, y = slice(n), slice(n, None)
-    resist = jnp.linalg.inv(C[y, y]).astype(K.dtype)
-    y_rate = -resist @ jnp.concatenate([K[y, d], C[y, d].astype(K.dtype), K[y, y]], 1)
-    y_force = jnp.concatenate([jnp.zeros((ny, n), K.dtype), resist], 1)
-    forces = [
-        -jnp.concatenate([K[d, d], C[d, d].astype(K.dtype), K[d, y]], 1),
-        jnp.eye(n, n + ny, dtype=K.dtype),
-    ]
-    rates = [
-        jnp.linalg.solve(M[d, d].astype(K.dtype), X - C[d, y].astype(K.dtype) @ own)
-        for X, own in zip(forces, (y_rate, y_force), strict=True)
-    ]
-    top = jnp.concatenate([jnp.zeros((n, n), K.dtype), eye, jnp.zeros((n, ny), K.dtype)], 1)
-    return jnp.concatenate([top, rates[0], y_rate]), jnp.concatenate(
-        [jnp.zeros((n, n + ny), K.dtype), rates[1], y_force]
+    rates = jnp.linalg.solve(
+        highest_rates(M, C, n).astype(K.dtype),
+        jnp.concatenate([-K[:, d], -C[:, d].astype(K.dtype), -K[:, y], np.eye(m)], 1),
     )
+    top = np.eye(n, n + m, n, dtype=K.dtype)
+    return jnp.concatenate([top, rates[:, : n + m]]), jnp.concatenate(
+        [jnp.zeros((n, m), K.dtype), rates[:, n + m :]]
+    )
+
+
+def highest_rates(M: Any, C: Any, n: int) -> Any:
+    """Return the matrix [M_d, C_y] of (Delta'', y'), the highest rates of n coordinates with mass
+    and of those without."""
+    return jnp.concatenate([M[:, :n], C[:, n:]], 1)
 
 
 def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:

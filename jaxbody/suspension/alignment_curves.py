@@ -26,7 +26,7 @@ from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import check_precision
+from jaxbody.model.preconditions import check_potential, check_precision
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.suspension.assemblies import (
     Drive,
@@ -289,6 +289,7 @@ def arguments_of(
     """Return the arguments of `suspension_curves` after checks: model, drives, targets, wheel, name
     of the drive that steers. `resting`: whether the free coordinates are in equilibrium."""
     check_precision(where, model)
+    check_potential(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
     check_known(wheel.on, f"{where}.wheel.on", frames)

@@ -47,7 +47,7 @@ from jaxbody.mechanics.dynamics import generalized
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import gaps, names_of_rows, redundant_rows
-from jaxbody.model.joints.element_tables import each_element, wrenches
+from jaxbody.model.joints.element_tables import each_element, exerted, wrenches
 from jaxbody.model.joints.kinematics import Chart, Coordinates, jacobian
 from jaxbody.model.models import Model, drawn_reference
 from jaxbody.model.preconditions import check_precision, check_state
@@ -336,7 +336,8 @@ class RestingSystem(NamedTuple):
         coordinates, zero = Coordinates(model), jnp.zeros(model.layout.nv, at.q.dtype)
         frames, axes = coordinates.frames_and_axes(at.q, zero, coordinates.supports.at_rest())
         now = frames.at_time(jnp.zeros((), at.q.dtype), State(at.q, zero))
-        F, M = (x[model.layout.first_body :] for x in wrenches(model, now, self.loads))
+        acting = exerted(model, now, self.loads)
+        F, M = (x[model.layout.first_body :] for x in wrenches(model, now, acting))
 
         def displaced(x):
             return conditions(

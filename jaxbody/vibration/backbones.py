@@ -51,7 +51,7 @@ from jaxbody.mechanics.free_motions import speeds_on_closures
 from jaxbody.model.joints.element_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
-from jaxbody.model.preconditions import check_without_memory
+from jaxbody.model.preconditions import check_potential, check_without_memory
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.eigenproblems import ZERO
@@ -217,6 +217,7 @@ def backbone_curves(lin: Linearization, *, allow_float32: bool = False) -> Backb
     """
     check_system(lin, "backbone_curves", allow_float32=allow_float32)
     check_without_memory("backbone_curves", lin.model)
+    check_potential("backbone_curves", lin.model)
     return warn_if_failed(_backbones(lin))
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int
+from jaxbody.core.arrays import Array, Complex, Float, Inexact, Int
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
@@ -27,6 +27,7 @@ from jaxbody.numerics.eigenproblems import (
     refused_if_shared,
 )
 from jaxbody.numerics.precisions import reachable
+from jaxbody.vibration.dynamic_matrices import rows_of_one_size
 from jaxbody.vibration.linearizations import Linearization, LinearSystem, check_system
 from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.vibration.spins import SpinLinearization
@@ -49,20 +50,33 @@ class ComplexModes(ModalResult):
     (columns, complex) of the first pole, u* M u = 1, the component of largest modulus real and
     positive; massless coordinates of elements with memory have no rows. Each of these coordinates
     has one single real pole, in `relaxations` [1/s], the slowest first: the real poles with the
-    largest share of energy in massless coordinates. `cluster`: equal numbers for modes whose poles
+    largest share of energy in massless coordinates. So have states of force elements, by their
+    participation in the poles; conjugate pairs are among them where real poles are too few.
+    `cluster`: equal numbers for modes whose poles
     coincide (derivatives as in `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has
     a pole at zero; SINGULAR_M, NONFINITE as in `modes`."""
 
     natural_frequency: Float[Array, "n"]
     decay_rate: Float[Array, "n"]
     poles: Complex[Array, "n 2"]
-    relaxations: Float[Array, "ny"]
+    relaxations: Inexact[Array, "ny"]
 
     def roots(self):
         return np.asarray(self.poles)[:, 0]
 
     def growing_and_still(self):
         return np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0
+
+    def explain(self) -> str:
+        grows = np.asarray(self.decay_rate) < 0
+        if int(self.status) != Status.UNSTABLE or not grows.any():
+            return super().explain()
+        kinds = {
+            "flutter": grows & (np.asarray(self.frequency) > 0),
+            "divergence": grows & (np.asarray(self.frequency) == 0),
+        }
+        each = [f"{kind} in mode {i + 1}" for kind, of in kinds.items() for i in np.flatnonzero(of)]
+        return f"{tables.counted(int(grows.sum()), 'mode')} of growing motion: {', '.join(each)}"
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by
@@ -85,7 +99,9 @@ class ComplexModes(ModalResult):
     def _tables(self) -> list[tables.PrintedTable]:
         natural = np.asarray(self.natural_frequency)
         decay = tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
-        rows = [(str(i + 1), pole) for i, pole in enumerate(np.asarray(self.relaxations))]
+        poles = np.asarray(self.relaxations)
+        poles = poles.real if not np.any(poles.imag) else poles
+        rows = [(str(i + 1), pole) for i, pole in enumerate(poles)]
         relaxations = [tables.PrintedTable("", ("relaxation", "pole [1/s]"), rows)] if rows else []
         return relaxations + self.table(
             "Complex modes",
@@ -149,7 +165,9 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     )
     # LAPACK may not terminate on NaN
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(len(M))) for X in (M, D, K))
-    M = (M + M.T) / 2
+    M = M.at[:n, :n].set(
+        (M[:n, :n] + M[:n, :n].T) / 2
+    )  # states may have rows that read accelerations
     A = first_order(M, D, K, n)[0] if lin.massless else companion(M, D, K)
     s, X = poles(A)
     relaxations, fastest = (
@@ -164,15 +182,16 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
         s = jax.lax.complex(
             jnp.real(s), jnp.where(jnp.abs(jnp.imag(seen)) <= rounding, 0.0, jnp.imag(s))
         )
-        single, others = _relaxing(*jax.lax.stop_gradient((s, X, M, K)), n)
-        relaxations = jnp.where(s[single].imag == 0, s[single].real, jnp.nan)
-        s, X, M, K = (
-            s[others],
-            X[:, others],
-            M[:n, :n],
-            K[:n, :n] + K[:n, n:] @ following(K, n, lin.massless)[n:],
-        )
-        stiffness, unit = jnp.linalg.solve(M, K), unit[:n]
+        shares = _participation(X, n) if lin.model.forces else _energy_shares(s, X, M, K, n)
+        single, others = _relaxing(*jax.lax.stop_gradient((s, shares)), lin.massless)
+        relaxations = s[single]
+        if lin.model.forces:
+            stiffness, K = rows_of_one_size(K), K[:n, :n]
+        else:
+            relaxations = jnp.where(relaxations.imag == 0, relaxations.real, jnp.nan)
+            K = K[:n, :n] + K[:n, n:] @ following(K, n, lin.massless)[n:]
+            stiffness = jnp.linalg.solve(M[:n, :n], K)
+        s, X, M, unit = s[others], X[:, others], M[:n, :n], unit[:n]
     frozen, U = jax.lax.stop_gradient((s, X[:n]))
     pairs = _paired(frozen, U, M, K)
     both = s[pairs]
@@ -192,7 +211,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
             ~finite,
             massless,
             jnp.any(
-                jnp.concatenate([one.real, other.real, relaxations])
+                jnp.concatenate([one.real, other.real, relaxations.real])
                 > reachable(GROWS, fastest.dtype, 256) * fastest
             ),
             jnp.sum(rigid) > int(isinstance(lin, SpinLinearization)),
@@ -242,11 +261,18 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
 
 
 def _relaxing(
-    s: Complex[Array, "m"], X: Complex[Array, "m m"], M, K, n: int
+    s: Complex[Array, "m"], shares: Float[Array, "m"], ny: int
 ) -> tuple[Int[Array, "ny"], Int[Array, "k"]]:
-    """Return the indices of the single poles of ny massless coordinates, the slowest first, and
-    those of the other poles. The single poles are the real ones with the largest share of energy in
-    massless coordinates, beyond that of slow motions."""
+    """Return the indices of the poles of ny coordinates without mass, the slowest first, and those
+    of the other poles: the real ones with the largest shares, then pairs with the largest ones."""
+    order = jnp.lexsort((-jnp.abs(jnp.imag(s)), -shares, jnp.imag(s) != 0))
+    single, others = order[:ny], jnp.sort(order[ny:])
+    return single[jnp.argsort(-jnp.real(s[single]), stable=True)], others
+
+
+def _energy_shares(s: Complex[Array, "m"], X: Complex[Array, "m m"], M, K, n: int):
+    """Return the share of the energy of each pole in massless coordinates, beyond that of slow
+    motions."""
     U, Y = X[:n], X[2 * n :]
     T = following(K, n, len(K) - n).astype(X.dtype)
     follows, K_yy = T[n:] @ U, K[n:, n:].astype(X.dtype)
@@ -258,10 +284,14 @@ def _relaxing(
         energy(K_yy, Y - follows),
         energy(K, jnp.concatenate([U, follows])) + jnp.abs(s) ** 2 * energy(M[:n, :n], U),
     )
-    share = jnp.where(jnp.imag(s) == 0, own / (own + jnp.abs(whole)), -1.0)
-    order = jnp.argsort(-share, stable=True)
-    single, others = order[: len(Y)], jnp.sort(order[len(Y) :])
-    return single[jnp.argsort(-jnp.real(s[single]))], others
+    return own / (own + jnp.abs(whole))
+
+
+def _participation(X: Complex[Array, "m m"], n: int) -> Float[Array, "m"]:
+    """Return the participation of the states after the first 2 n in each pole: the share of the
+    products of right and left eigenvectors."""
+    parts = jnp.abs(X * jnp.linalg.inv(X).T)
+    return jnp.round(jnp.nan_to_num(jnp.sum(parts[2 * n :], 0) / jnp.sum(parts, 0)), 9)
 
 
 def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array, "n 2"]:

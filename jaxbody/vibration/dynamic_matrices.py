@@ -35,13 +35,14 @@ def options_by_size(lin: Any, f: Float[Array, "nf"], *_: Any) -> Options:
 
 class DynamicMatrices(Module):
     """The matrices of D = K + s C + s^2 M + i H, s = i w; the last `massless` rows of D are those
-    of massless coordinates."""
+    of coordinates without mass. `symmetric`: whether the matrices are, as those of potentials."""
 
     K: Float[Array, "k n"]
     C: Float[Array, "k n"]
     M: Float[Array, "k n"]
     H: Float[Array, "k n"] | None
     massless: int = field(static=True, default=0)
+    symmetric: bool = field(static=True, default=True)
 
     def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
         """Return D(s) at each s."""
@@ -86,10 +87,10 @@ def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]
     """Return the function (b, transposed) -> D^-1 b, or D^-T b, from one elimination. In the
     coordinates of the real modes no pivoting is needed: D is diagonal except for damping, and no
     entry of C exceeds the mean of two on its diagonal."""
+    if ((n := len(A.M)) > LARGEST_UNROLLED and not A.massless) or not A.symmetric:
+        return _by_lapack(A.at(s))
     if A.massless:
         return _eliminated_with_branches(A, s)
-    if (n := len(A.M)) > LARGEST_UNROLLED:
-        return _by_lapack(A.at(s))
     shapes = natural(A.K, A.M)[1]
     D = jax.tree.map(lambda H: shapes.T @ H @ shapes, A).at(s)
     D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
@@ -179,6 +180,12 @@ def _modal_sum(
         return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (s[None] - poles[:, None])[:, None], 1)
 
     return solve, error < reachable(INVERTED, error.dtype, 1024)
+
+
+def rows_of_one_size(K: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """Return K with its rows divided by their largest number, so that it is singular where K is,
+    whatever the units of the rows."""
+    return K / jnp.max(jnp.abs(K), 1, initial=1e-300, keepdims=True)
 
 
 def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:

@@ -20,6 +20,7 @@ from equinox import field
 from jaxbody.core import tables
 from jaxbody.core.arrays import (
     Array,
+    Bool,
     Complex,
     Float,
     Int,
@@ -43,7 +44,13 @@ from jaxbody.model.preconditions import check_memory
 from jaxbody.numerics.eigenproblems import ZERO, natural
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
-from jaxbody.vibration.dynamic_matrices import DynamicMatrices, is_unstable, options_by_size, solved
+from jaxbody.vibration.dynamic_matrices import (
+    DynamicMatrices,
+    is_unstable,
+    options_by_size,
+    rows_of_one_size,
+    solved,
+)
 from jaxbody.vibration.linearizations import Linearization, check_system
 from jaxbody.vibration.natural_modes import NO_MODES, with_modal_damping
 from jaxbody.vibration.ports import Ports, check_ports, port_matrices, reads_matrices
@@ -405,7 +412,10 @@ def response_values(
     nv, X = lin.M.shape[-1], ports.X
     s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
     whole = DynamicMatrices(
-        *lin.whole, None if eta is None else hysteretic_damping(lin, eta), lin.massless
+        *lin.whole,
+        None if eta is None else hysteretic_damping(lin, eta),
+        lin.massless,
+        not lin.model.forces,
     )
     scale = (
         s[None] ** -jnp.array(ports.orders, s.dtype)[:, None]
@@ -438,9 +448,7 @@ def response_values(
     values = values if ports.chains is None else values * ports.chains.at(s)[:, None]
     free = jnp.array(False)
     if static:
-        slow = jax.lax.stop_gradient(lin.condensed)
-        squares = jnp.abs(natural(slow.K, slow.M)[0])
-        free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
+        free = _is_free(jax.lax.stop_gradient(lin))
         values = jnp.where(free & (f == 0), jnp.nan, values)
     status = lin.kept_status(
         jnp.select(
@@ -457,6 +465,16 @@ def response_values(
     )
     failed = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
     return values * jnp.where(failed, jnp.nan, 1.0), status
+
+
+def _is_free(lin: Linearization) -> Bool[Array, ""]:
+    """Return whether a motion is not resisted at 0 Hz."""
+    if lin.model.forces:
+        values = jnp.linalg.svdvals(rows_of_one_size(lin.K))
+    else:
+        slow = lin.condensed
+        values = jnp.abs(natural(slow.K, slow.M)[0])
+    return jnp.min(values, initial=jnp.inf) <= ZERO * jnp.max(values, initial=0.0)
 
 
 def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:

@@ -15,6 +15,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -32,7 +33,7 @@ from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.internal_coordinates import following, slow_matrices, whole_matrices
-from jaxbody.mechanics.load_paths import generalized_force, stiffness_of_loads
+from jaxbody.mechanics.load_paths import generalized_force, in_full, stiffness_of_loads
 from jaxbody.mechanics.null_motions import zero_modes
 from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.loads import Load
@@ -202,6 +203,8 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
+    # rows of Xi of M, C and K where these are not symmetric; None: the transposed blocks
+    base_rows: tuple[Float[Array, "nxi nv"], ...] | None = None
     # whether massless coordinates follow slow motions statically, and so have no rows
     slow: bool = eqx.field(static=True, default=False)
     exported = tuple(
@@ -211,14 +214,22 @@ class Linearization(LinearSystem):
     @property
     def whole(self) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
         """K, C and M of (Delta, Xi)."""
-        return tuple(  # pyright: ignore[reportReturnType]  of three
-            jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]])
-            for A, A_tilde, A_bb in (
-                (self.K, self.K_tilde, self.K_bb),
-                (self.C, self.C_tilde, self.C_bb),
-                (self.M, self.M_tilde, self.M_bb),
-            )
+        blocks = (
+            (self.K, self.K_tilde, self.K_bb),
+            (self.C, self.C_tilde, self.C_bb),
+            (self.M, self.M_tilde, self.M_bb),
         )
+        rows = tuple(-A_tilde.T for _, A_tilde, _ in blocks)
+        rows = self.base_rows[::-1] if self.base_rows else rows
+        return tuple(  # pyright: ignore[reportReturnType]  of three
+            jnp.block([[A, -A_tilde], [row, A_bb]])
+            for (A, A_tilde, A_bb), row in zip(blocks, rows, strict=True)
+        )
+
+    @property
+    def without_potential(self) -> bool:
+        """Whether forces act that need not have a potential, so that K may not be symmetric."""
+        return without_potential(self.model, self.loads)
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
         """Return N' H N, which is the matrix H of the model's coordinates in those of the
@@ -248,8 +259,10 @@ class Linearization(LinearSystem):
         if not self.massless:
             return self
         nv = self.nv
-        own = {name: getattr(self, name)[..., :nv, :nv] for name in ("M", "C", "K")}
+        own: dict[str, Any] = {name: getattr(self, name)[..., :nv, :nv] for name in ("M", "C", "K")}
         tilde = {f"{name}_tilde": getattr(self, f"{name}_tilde")[..., :nv, :] for name in own}
+        if self.base_rows:
+            own["base_rows"] = tuple(rows[..., :nv] for rows in self.base_rows)
         return dataclasses.replace(self, **own, **tilde)
 
     @property
@@ -283,9 +296,9 @@ class Linearization(LinearSystem):
 
     @property
     def K_loads(self) -> Float[Array, "nv nv"]:
-        """The part of K due to the loads of the equilibrium, -dQ/dDelta; not symmetric where they
-        have no potential."""
-        return -self.reduced(_load_stiffness(self.model, self.state, self.loads))
+        """The part of K due to the loads of the equilibrium and to force elements, -dQ/dDelta; not
+        symmetric where they have no potential."""
+        return -self.reduced(_load_stiffness(self))
 
     @property
     def K_closures(self) -> Float[Array, "nv nv"]:
@@ -458,7 +471,7 @@ def _by_definition(
     basis = basis_of(configuration_at(coordinates, state.q, state.v))
     if moves:
         whole = [moves.of(H, ny) for H in whole]
-    blocks = _blocks(whole, len(model.independent or ()) + ny)
+    blocks = _blocks(whole, len(model.independent or ()) + ny, rows=without_potential(model, loads))
     return _system(model, state, status, loads, blocks, r, basis, moves)
 
 
@@ -467,40 +480,54 @@ def _linearize(
     model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]
 ) -> Linearization:
     state, nv, ny = completed(model, state), model.layout.nv, len(model.layout.inner)
-    numbers, rest = eqx.partition(apart(model, state.z), eqx.is_array)
+    coordinates = Coordinates(apart(model, state.z))
+    numbers, rest = eqx.partition(coordinates.model, eqx.is_array)
 
     def matrices(numbers, q, v) -> Any:
         at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
         whole, slope = whole_matrices(at)
-        return whole if model.closures else _blocks(whole, nv + ny), slope[:nv], basis_of(at)
+        whole = whole if model.closures else _blocks(whole, nv + ny, rows=False)
+        return whole, slope[:nv], basis_of(at)
 
+    hessians: Any
     hessians, slope, basis = (matrices if model.closures else in_lanes(matrices, reversible=True))(
         numbers, state.q, state.v
     )
-    r = slope - generalized_force(
-        model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros(nv, state.q.dtype)
-    )
-    of_loads = _load_stiffness(model, state, loads)
+    r = slope
+    if without_potential(model, loads):
+        at = configuration_at(coordinates, state.q, base=False)
+        r = r - generalized_force(at, in_full(loads, r.dtype))
+        parts: Any = lagrange.force_matrices(model, state, loads)
+        if model.closures:
+            hessians = [H + part for H, part in zip(hessians, parts, strict=True)]
+        else:
+            parts = _blocks(parts, nv + ny, rows=True)
+            rows = tuple(-hessians[f"{name}_tilde"].T for name in "MCK")
+            hessians = jax.tree.map(jnp.add, hessians | {"base_rows": rows}, parts)
     if not model.closures:
-        hessians["K"] = hessians["K"] - jnp.pad(of_loads, (0, ny))
         return _system(model, state, status, loads, hessians, r, basis, None)
-    coordinates, (M, C, K) = Coordinates(eqx.combine(numbers, rest)), hessians
+    M, C, K = hessians
     moves = dependent_motions(coordinates, state.q, r, model.independent or ())
     x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
-    K = (
-        jnp.asarray(K)
-        .at[np.ix_(x, x)]
-        .add(closure_stiffness(coordinates, state.q, moves.multipliers))
-    )
-    K = K.at[:nv, :nv].add(-of_loads)
-    blocks = _blocks([moves.of(H, ny) for H in (M, C, K)], len(moves.N.T) + ny)
+    bent = closure_stiffness(coordinates, state.q, moves.multipliers)
+    K = jnp.asarray(K).at[np.ix_(x, x)].add(bent)
+    whole = [moves.of(H, ny) for H in (M, C, K)]
+    blocks = _blocks(whole, len(moves.N.T) + ny, rows=without_potential(model, loads))
     return _system(model, state, status, loads, blocks, r, basis, moves)
 
 
-def _blocks(whole: Any, n: int) -> dict[str, Array]:
+def without_potential(model: Model, loads: tuple[Load, ...]) -> bool:
+    """Return whether forces act that need not have a potential."""
+    return bool(loads or model.forces)
+
+
+def _blocks(whole: Any, n: int, *, rows: bool) -> dict[str, Any]:
     """Return the blocks of M, C and K of n coordinates and Xi, by their names in a Linearization: M
-    of the coordinates, M_tilde between these and Xi, M_bb of Xi, and so on."""
-    blocks = {}
+    of the coordinates, M_tilde between these and Xi, M_bb of Xi, and so on; with `rows`, the rows
+    of Xi too."""
+    blocks: dict[str, Any] = {}
+    if rows:
+        blocks["base_rows"] = tuple(H[n:, :n] for H in whole)
     for name, H in zip("MCK", whole, strict=True):
         blocks |= {name: H[:n, :n], f"{name}_tilde": -H[:n, n:], f"{name}_bb": H[n:, n:]}
     return blocks
@@ -562,9 +589,12 @@ def _closure_stiffness(lin: Linearization) -> Float[Array, "nf nf"]:
 def _condensed(lin: Linearization) -> Linearization:
     nv, ny = lin.nv, lin.massless
     K, C, M = lin.whole
-    T = following(K, nv, ny)
-    return dataclasses.replace(lin, **_blocks([T.T @ H @ T for H in (M, C, K)], nv), slow=True)
+    left, right = following(K.T, nv, ny), following(K, nv, ny)
+    blocks = _blocks([left.T @ H @ right for H in (M, C, K)], nv, rows=lin.without_potential)
+    return dataclasses.replace(lin, **blocks, slow=True)
 
 
-def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
-    return stiffness_of_loads(model, state.q, loads, jnp.ones(len(loads), state.q.dtype))
+@program
+def _load_stiffness(lin: Linearization) -> Float[Array, "nv nv"]:
+    at = configuration_at(Coordinates(lin.held), lin.state.q, base=False)
+    return stiffness_of_loads(at, in_full(lin.loads, lin.K.dtype))

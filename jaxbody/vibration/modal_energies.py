@@ -3,6 +3,7 @@ dissipation by damper."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -39,9 +40,10 @@ class ModeEnergies(Labeled, Result):
     `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes;
     `inertia` {name: (n,)}: of elements with inertia, such as inerters, and of coordinates of
     elements with mass, such as the fluid of a mount; the sum of both is 100. `strain` {element:
-    (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of
-    tension, weights and loads to K, the sum is 100 (NaN for a mode of zero frequency).
-    `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies,
+    (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity", "loads", "no potential"}, the
+    contributions of tension, weights, loads and force elements to K, the sum is 100 (NaN for a mode
+    of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation;
+    that of force elements is not part of it. `velocities` (bodies,
     6, n): velocities of the centers of mass and angular velocities, along the shape. `names`: each
     mode by the body and direction with most of the bodies' kinetic energy."""
 
@@ -50,7 +52,7 @@ class ModeEnergies(Labeled, Result):
     kinetic_shares: Float[Array, "nb 6 n"]
     inertia_shares: Float[Array, "ni n"]
     strain_shares: Float[Array, "ne n"]
-    other_shares: Float[Array, "3 n"]
+    other_shares: Float[Array, "4 n"]
     dissipation_shares: Float[Array, "ne n"]
     velocities: Float[Array, "nb 6 n"]
     cluster: Int[Array, "n"]
@@ -183,11 +185,14 @@ class ModeEnergies(Labeled, Result):
             if rows
         ]
         names = [f"{i + 1}: {name}" for i, name in enumerate(self.names)]
-        shown[-1].note = "; ".join(filter(None, [*names, self.failure, mark_note(self.names)]))
+        forces = self.model.force_names
+        without = f"no potential: {', '.join(forces)}, whose damping is left out" * bool(forces)
+        notes = [*names, without, self.failure, mark_note(self.names)]
+        shown[-1].note = "; ".join(filter(None, notes))
         return shown
 
 
-OTHERS = ("tension", "gravity", "loads")
+OTHERS = ("tension", "gravity", "loads", "no potential")
 
 
 def mode_energies(
@@ -308,11 +313,19 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
             loss + more_loss,
         )
     moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0)
-    gravity, loads = (
-        jnp.sum(shapes[:nf] * (K @ shapes[:nf]), 0) for K in (lin.K_gravity, lin.K_loads)
+    gravity, loads, forces, tension = (
+        jnp.sum(shapes[:nf] * (K @ shapes[:nf]), 0)
+        for K in (
+            lin.K_gravity,
+            lin.K_loads,
+            replace(lin, loads=()).K_loads,
+            lin.K_closures + (lin.K_geometric if lin.model.forces and lin.model.elements else 0.0),
+        )
     )
     strain, dissipated = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
-    others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
+    loads, rest = loads - forces, strain - jnp.sum(elastic, 0) - gravity - loads + forces
+    others = [tension, gravity, loads, rest - tension]  # with states of forces that follow
+    others = jnp.stack(others if lin.model.forces else [rest, gravity, loads, forces])
     velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)[None]

@@ -158,8 +158,9 @@ def track_modes(
     From each value to the next, modes are matched by their MAC in M, beginning with the best pair.
     Where frequencies coincide, the space of their shapes is matched and the previous shapes are
     kept, so that crossings are followed and veerings are not mistaken for crossings. About a steady
-    spin the modes are those of `complex_modes`. The result is differentiable where single modes
-    are. Errors: BAD_SHAPE, NON_FINITE for values; warns LOST_BRANCH.
+    spin, and with force elements, the modes are those of `complex_modes`. The result is
+    differentiable where single modes are. Errors: BAD_SHAPE, NON_FINITE for values; warns
+    LOST_BRANCH.
 
     >>> car = jb.presets.half_car()
     >>> def linearized(stiffness):
@@ -194,9 +195,10 @@ def track_modes(
 
     def one(value):
         lin = linearized(value)
-        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M[
-            : lin.nv, : lin.nv
-        ]
+        M = lin.M[: lin.nv, : lin.nv]
+        if isinstance(lin, SpinLinearization) or lin.model.forces:
+            return complex_modes(lin), M
+        return modes(lin), M
 
     given = jnp.asarray(given)
     return warn_if_failed(_track(given, *eqx.filter_vmap(one)(given)))

@@ -351,9 +351,22 @@ def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[
     """Check inputs and outputs; return (names, inputs, units) and the outputs. All errors are
     raised at once."""
     with Problems() as problems:
-        return inputs_of(lin.model, inputs, where, problems), outputs_of(
-            lin.model, outputs, where, problems
+        given, sensed = (
+            inputs_of(lin.model, inputs, where, problems),
+            outputs_of(lin.model, outputs, where, problems),
         )
+        if lin.slow and len(lin.model.layout.first_order):
+            for sensor in sensed.sensors:
+                if sensor.reactions and not reads_matrices(sensor, lin.model):
+                    problems.add(
+                        "MEMORY",
+                        f"{where}.outputs",
+                        f"reads reactions on '{sensor.on}' while states of force elements have no "
+                        "rows",
+                        value=sensor,
+                        hint="Give the linear system itself, not its `condensed`.",
+                    )
+    return given, sensed
 
 
 def _input_matrices(

@@ -224,7 +224,9 @@ def _beside_resonances(lin: Linearization, f: Float[Array, "nf"]) -> Float[Array
     nv = lin.M.shape[-1]
     own = jax.tree.map(lambda A: A[:nv, :nv], DynamicMatrices(*lin.whole, None, lin.massless))
     # without the conjugates
-    resonances = jnp.sort(jnp.imag(free_motions(own)))[-(nv - lin.massless) :] / (2 * jnp.pi)
+    values = free_motions(own)
+    count = len(values) // 2 if lin.model.forces else nv - lin.massless
+    resonances = jnp.sort(jnp.imag(values))[-count:] / (2 * jnp.pi)
     within = jnp.clip(resonances, f[0], f[-1])
     near = reachable(NEAR, f.dtype, 256) * jnp.outer(
         jnp.arange(1, 3, dtype=f.dtype), (within == resonances).astype(f.dtype)

@@ -23,6 +23,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
+from jaxbody.lagrange import force_matrices
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.dynamics import Dynamics
@@ -123,6 +124,12 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     M, D, K, v_dot = _second_order(dynamics, q, v)
     at = configuration_at(dynamics.coordinates, q, state.v, base=False)
     C, K_rest, moves = damping(at), stiffness(at), None
+    if model.forces:
+        n = len(state.v)
+        C, K_rest = (
+            H + part[:n, :n]
+            for H, part in zip((C, K_rest), force_matrices(model, state, ())[1:], strict=True)
+        )
     if model.closures:
         moves, nv = (
             dependent_motions(dynamics.coordinates, q, slope(at), tuple(own.tolist())),

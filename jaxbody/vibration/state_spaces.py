@@ -14,6 +14,7 @@ from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.numerics.eigenproblems import highest_rates
 
 
 class StateSpace(Result):
@@ -93,13 +94,12 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
 @program
 def _state_space(lin: Any, ports: Any):
     """Return A, B, C, D and the status. The states are p = Delta - g u, r = Delta' - g u' - h u
-    and, for massless coordinates, w = y - j u, so that no derivative of u is needed, then Xi and
-    Xi' of inputs that are velocities (Xi) and accelerations (both):
+    and, for coordinates y without mass, w = y - g u' - h u, so that no derivative of u is needed,
+    then Xi and Xi' of inputs that are velocities (Xi) and accelerations (both):
 
-    Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,
-    h = M^-1 (C~ - C g)
-                                                                            u = Xi':  g = 0,
-                                                                            h = M^-1 M~"""
+    (Delta'', y') = E^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C_d Delta' - K (Delta, y)),
+    E = [M_d, C_y],
+    g: the part in u'' of the right side, h: that in u' after Delta' and y are inserted"""
     orders, nv, ny, m = ports.orders, lin.nv, lin.massless, len(ports.orders)
     # pairs (k, j): the k-th derivative of Xi of input j is a state
     integrated = [(k, j) for k in (0, 1) for j in range(m) if orders[j] > k]
@@ -127,32 +127,20 @@ def _state_space(lin: Any, ports: Any):
         ]
     )
     Xi = ports.X @ chains
-    K, C, forces = (
-        lin.K,
-        lin.C,
-        lin.K_tilde @ Xi[0] + lin.C_tilde @ Xi[1] + lin.M_tilde @ Xi[2] + ports.F[: nv + ny] @ u,
+    forces = (
+        lin.K_tilde @ Xi[0] + lin.C_tilde @ Xi[1] + lin.M_tilde @ Xi[2] + ports.F[: nv + ny] @ u
     )
-    K_y, C_y, of_y = (
-        jnp.linalg.solve(C[nv:, nv:], A[nv:]) if ny else A[nv:] for A in (K, C[:, :nv], forces)
-    )
-    # y' = of_y - K_y (Delta, y) - C_y Delta' in the other rows
-    K, C, forces = (
-        K[:nv] - C[:nv, nv:] @ K_y,
-        C[:nv, :nv] - C[:nv, nv:] @ C_y,
-        forces[:nv] - C[:nv, nv:] @ of_y,
-    )
-    stiffness, damping, driven = (jnp.linalg.solve(lin.M[:nv, :nv], A) for A in (K, C, forces))
+    E = highest_rates(lin.M, lin.C, nv)
+    stiffness, damping, driven = (jnp.linalg.solve(E, A) for A in (lin.K, lin.C[:, :nv], forces))
     g = driven @ ddu.T
-    h = driven @ du.T - damping @ g
-    Delta = p + g @ u
-    rate = r + h @ u + g @ du
-    jump = of_y @ du.T - C_y @ g
-    y = w + jump @ u
-    y_rate = of_y - K_y @ jnp.concatenate([Delta, y]) - C_y @ rate
-    y_slope = y_rate - jump @ du
-    acceleration = driven - damping @ rate - stiffness @ jnp.concatenate([Delta, y])
+    h = driven @ du.T - damping @ g[:nv] - stiffness[:, nv:] @ g[nv:]
+    Delta = p + g[:nv] @ u
+    rate, y = r + h[:nv] @ u + g[:nv] @ du, w + h[nv:] @ u + g[nv:] @ du
+    highest = driven - damping @ rate - stiffness @ jnp.concatenate([Delta, y])
+    acceleration, y_rate = highest[:nv], highest[nv:]
+    left = highest - h @ du - g @ ddu
     of_Xi = [chains[k + 1, j][None] for k, j in integrated]
-    slopes = jnp.concatenate([rate - g @ du, acceleration - h @ du - g @ ddu, y_slope, *of_Xi])
+    slopes = jnp.concatenate([rate - g[:nv] @ du, left, *of_Xi])
     own = ((Delta, y), (rate, y_rate), (acceleration, jnp.zeros_like(y)))
     x = jnp.stack([jnp.concatenate([*parts, base]) for parts, base in zip(own, Xi, strict=True)])
     C, D, first, second = jnp.split(jnp.einsum("kyn,knw->yw", ports.Y, x), [n, n + m, n + 2 * m], 1)

@@ -440,18 +440,18 @@ def test_the_schema_is_that_of_the_fields():
     )
 
 
-BASES = {jb.laws.Hysteretic, jb.laws.Inertial, jb.laws.Viscoelastic}  # of laws of one's own
+BASES = {jb.laws.Hysteretic, jb.laws.Inertial, jb.laws.Viscoelastic, jb.inputs.Load}  # of one's own
 
 
 def test_every_class_of_the_package_is_in_the_schema():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    homes = (jb, jb.laws, jb.joints, jb.inputs, jb.sensors)
+    homes = (jb, jb.laws, jb.joints, jb.inputs, jb.sensors, jb.forces)
     public = {getattr(home, name) for home in homes for name in dir(home) if name[0].isupper()}
     wanted = {
         kind
-        for base in (jb.Element, jb.joints.Joint, Law, jb.inputs.Load, jb.sensors.Sensor)
+        for base in (jb.Element, jb.joints.Joint, Law, jb.ForceElement, jb.sensors.Sensor)
         for kind in below(base) & public
     }
     assert len(wanted) > 40 and wanted - set(TYPES.values()) == {

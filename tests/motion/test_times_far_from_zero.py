@@ -16,6 +16,7 @@ import jaxbody as jb
 from jaxbody.core.arrays import time_text
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Pose
+from jaxbody.model.forces.force_elements import ForceInputs
 from jaxbody.model.inputs.signals import Delayed, Samples, Sine
 
 START = 1592423047.0
@@ -155,7 +156,12 @@ def test_a_signal_and_a_load_after_a_time():
     ]:
         shifted(signal, lambda signal, t: signal(t))
     for load in LOADS:
-        shifted(load, lambda load, t: jnp.concatenate(load.wrench(frame.at_time(t))))
+        shifted(
+            load,
+            lambda load, t: jnp.concatenate(
+                load.forces(ForceInputs((frame,), {}, jnp.zeros(0), t))[0]
+            ),
+        )
 
 
 def run(t0, inputs, **options):

@@ -11,6 +11,7 @@ import rigs
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.model.forces.force_elements import ForceInputs
 from jaxbody.motion.sensor_readings import read
 
 G = 9.81
@@ -264,7 +265,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
             frames,
             axes,
             elements,
-            PUSH[0].wrench(frames[layout.frame("box")].at_time(t)),
+            PUSH[0].forces(ForceInputs((frames[layout.frame("box")],), {}, jnp.zeros(0), t))[0],
             read(model, SHAKEN, t, jb.State(q, v), sensors, PUSH),
         )
 

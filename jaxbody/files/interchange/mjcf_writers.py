@@ -21,6 +21,7 @@ from jaxbody.model.laws.laws import Law, Linear
 from jaxbody.model.laws.spring_laws import TensionOnly
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model
+from jaxbody.model.preconditions import check_potential
 
 CLOSE = 1e-9  # tolerance for axes and rotations that must coincide
 LEAST = 1e-15  # smallest principal moment of inertia of a moving body [kg m2]
@@ -58,6 +59,7 @@ def write_mjcf(model: Model, path: Any) -> None:
     """
     path = Path(path)
     extension_of(path, ".xml")
+    check_potential("write_mjcf", model)
     if model.closures:
         raise JaxbodyError(
             Problem(

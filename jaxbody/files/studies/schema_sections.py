@@ -108,7 +108,7 @@ def schema() -> dict[str, Any]:
         "joint": one_of(*(kind.__name__ for kind in kinds.JOINTS)),
         "pulse": one_of(*(kind.__name__ for kind in kinds.PULSES)),
         "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),
-        "element": one_of(*(kind.__name__ for kind in kinds.ELEMENTS)),
+        "element": one_of(*(kind.__name__ for kind in (*kinds.ELEMENTS, *kinds.LOADS))),
         "closure": one_of(*(kinds.definition_of("closures", name) for name in kinds.CLOSURE_TYPES)),
         "own function": {
             "type": "object",

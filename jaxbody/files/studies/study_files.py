@@ -55,7 +55,7 @@ class Study(Printed):
     def _tables(self) -> list[PrintedTable]:
         parts = {
             "supports": self.model.layout.supports,
-            "elements": self.model.element_names,
+            "elements": self.model.element_names + self.model.force_names,
             "motion of": self.motion,
             "loads": self.loads,
             "sensors": self.sensors,

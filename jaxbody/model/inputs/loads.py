@@ -19,16 +19,17 @@ import numpy as np
 from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, plain, warn_of_degrees
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.frames import Instant, Wrench
 from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate
+from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.inputs.signals import Signal, as_signal, turned
 
 
-class Load(Described, eqx.Module):
-    """The base class of loads: a user-defined load derives from it and defines `at_point`.
+class Load(ForceElement):
+    """The base class of loads, force elements at a point of one body: a user-defined load derives
+    from it and defines `at_point`.
 
     >>> class Thrust(jb.inputs.Load):
     ...     level: jax.Array
@@ -38,8 +39,16 @@ class Load(Described, eqx.Module):
     'rocket'
     """
 
-    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"] = field("m")
+
+    @property
+    def on(self) -> str:
+        """The body on which it acts."""
+        return self.between[0]
+
+    @property
+    def points(self):
+        return (self.point,)
 
     @abstractmethod
     def at_point(self, now: Instant) -> Wrench:
@@ -64,11 +73,10 @@ class Load(Described, eqx.Module):
         motion of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
-    def wrench(self, now: Instant) -> Wrench:
-        """Return the force [N], and the moment [N m] about the origin of the body, in world
-        axes."""
-        F, M = self.at_point(now)
-        return F, M + cross(rotate(now.R, self.point), F)
+    def forces(self, now):
+        (frame,) = now.frames
+        F, M = self.at_point(frame.at_time(now.t))
+        return ((F, M + cross(rotate(frame.R, self.point), F)),)
 
 
 class _Later(Load):
@@ -107,7 +115,7 @@ class Force(Load):
 
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
         with Problems() as problems:
-            self.on, self.point = _place(on, "Force", problems)
+            self.between, self.point = _place(on, "Force", problems)
             self.force, self.moment = (
                 as_signal(x, f"Force.{name}", problems, (3,))
                 for name, x in (("force", force), ("moment", moment))
@@ -173,7 +181,7 @@ class Unbalance(Load):
 
     def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
         with Problems() as problems:
-            self.on, self.point = _place(on, "Unbalance", problems)
+            self.between, self.point = _place(on, "Unbalance", problems)
             self.axis = direction(axis, "Unbalance.axis", problems)
             known = concrete(self.axis)
             self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
@@ -248,7 +256,7 @@ class EngineTorque(Load):
 
     def __init__(self, on, *, axis, frequency, orders, amplitudes, phases=None, mean=0.0):
         with Problems() as problems:
-            self.on, self.point = _place(on, "EngineTorque", problems)
+            self.between, self.point = _place(on, "EngineTorque", problems)
             self.axis = direction(axis, "EngineTorque.axis", problems)
             take(self, problems, frequency=frequency, mean=mean)
             n = np.size(orders)
@@ -278,9 +286,10 @@ class EngineTorque(Load):
 
 
 def _place(on: Any, kind: str, problems: Problems):
-    """Return the name of the body and the point, given as a name or as (name, point)."""
-    (name,), (point,) = ends((on,), kind, problems)
-    return name, point
+    """Return the name of the body, in a tuple, and the point, given as a name or as (name,
+    point)."""
+    names, (point,) = ends((on,), kind, problems)
+    return names, point
 
 
 def loads_of(

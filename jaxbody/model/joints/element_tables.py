@@ -3,16 +3,18 @@ frames, and the states of elements."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.model.element_states import end_rows, relaxed, rest_states
-from jaxbody.model.inputs.loads import Load
+from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.laws.law_states import Held, Relaxed, memories
 from jaxbody.model.models import Model
@@ -57,18 +59,63 @@ def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
     return jax.vmap(function)(table.rows, *(frames[rows] for rows in end_rows(model, table)))
 
 
+Acting = list[tuple[tuple[str, ...], Any]]  # (names of frames, forces and moments on these)
+
+
+def exerted_by_loads(model: Model, now: Instant, loads: tuple[ForceElement, ...]) -> Acting:
+    """Return the forces and moments of loads, [(name of the frame, wrench)]."""
+    parts = []
+    for load in loads:
+        frames = tuple(now.frame(model.layout.frame(name)) for name in load.between)
+        for name, wrench in zip(
+            load.between, load.forces(load.seen(model, now, frames, rates=False)), strict=True
+        ):
+            parts.append(((name,), tuple(x[None] for x in wrench)))
+    return parts
+
+
+def exerted(model: Model, now: Instant, loads: tuple[ForceElement, ...] = ()) -> Acting:
+    """Return the forces and moments of loads and of the force elements of a model that holds its
+    states."""
+    parts = exerted_by_loads(model, now, loads)
+    for table, by_end in zip(
+        model.forces, each_force(model, now, lambda x, now: x.forces(now)), strict=True
+    ):
+        parts += zip(zip(*table.links, strict=True), by_end, strict=True)
+    return parts
+
+
+def each_force(model: Model, now: Instant, function, *, rates: bool = False) -> list:
+    """Return function(force element, what it sees) of the force elements, table by table."""
+
+    def of(force, *frames):
+        return function(force, force.seen(model, now, frames, rates=rates))
+
+    return [
+        jax.vmap(of)(table.rows, *(now[rows] for rows in end_rows(model, table)))
+        for table in model.forces
+    ]
+
+
+def reads_accelerations(model: Model) -> bool:
+    """Return whether a force element of the model reads accelerations."""
+    return any(
+        sensor.needs_accelerations(model)
+        for table in model.forces
+        for sensor in (table.rows.reads or {}).values()
+    )
+
+
 def wrenches(
-    model: Model, frames: Any, loads: tuple[Load, ...] = ()
+    model: Model, frames: Frame, others: Any = ()
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Return force and moment about its origin that elements, gravity and loads exert on each
-    frame, in world axes; with loads, `frames` is an Instant."""
+    """Return force and moment about its origin on each frame, in world axes: those of elements with
+    a potential and of gravity, and `others`, as `exerted` returns them."""
     bodies, layout = model.bodies.rows, model.layout
     weight = bodies.mass[:, None] * model.gravity[None]
     moment = cross(rotate(frames.R[layout.first_body :], bodies.com), weight)
     acting = [(layout.bodies, (weight, moment))]
-    for load in loads:
-        F, M = load.wrench(frames.frame(layout.frame(load.on)))
-        acting.append(((load.on,), (F[None], M[None])))
+    acting += others
     by_table = each_element(model, frames, lambda s, *F: s.wrenches(*F))
     return summed_on_frames(model, model.elements, by_table, acting)
 
@@ -92,25 +139,41 @@ def summed_on_frames(
     return sums(forces, acting), sums(moments, acting)
 
 
-def state_rates(model: Model, frames: Frame) -> Float[Array, "nz"]:
-    """Return z' of a model that holds its states, in these frames."""
-    return _joined(
-        model, frames, Held, lambda element, *ends: element.state_rates(*element.rates(*ends))
+def at_rest(frames: Frame) -> Instant:
+    """Return frames as an instant of rest, at time 0."""
+    still = jnp.zeros_like(frames.p)
+    return replace(frames.at_time(jnp.zeros((), still.dtype)), a=still, alpha=still)
+
+
+def state_rates(model: Model, now: Instant) -> Float[Array, "nz"]:
+    """Return z' of a model that holds its states, at an instant."""
+    of_memory = _of_memory(
+        model, now, Held, lambda element, *ends: element.state_rates(*element.rates(*ends))
     )
+    return jnp.concatenate([*of_memory, force_rates(model, now)])
+
+
+def force_rates(model: Model, now: Instant) -> Float[Array, "nf"]:
+    """Return z' of the force elements alone."""
+    rates = each_force(model, now, lambda x, now: x.rates(now), rates=True)
+    return jnp.concatenate([jnp.zeros(0, now.p.dtype), *(part.reshape(-1) for part in rates)])
 
 
 def state_scales(model: Model, reference: Frame, size: Float[Array, ""]) -> Float[Array, "nz"]:
     """Return the scale of each state: its change per unit of the deformation in the reference pose,
     times the size of the model, or 1 rad for an angle; the scale of the deformation if the state
-    does not follow it."""
+    does not follow it; 1 for states of force elements."""
 
     def scales(element, *ends):
         e = element.deformation(*(end.pose() for end in ends))
         follows = jnp.abs(element.sensitivities(e))
         return jnp.where(follows > 0, follows, 1.0)
 
-    return _joined(relaxed(model), reference, Relaxed, scales) * jnp.where(
-        model.layout.follows_angles, 1.0, size
+    layout, of_memory = model.layout, _of_memory(relaxed(model), reference, Relaxed, scales)
+    own = layout.first_order
+    angular = layout.follows_angles | np.isin(np.arange(layout.nz), own)
+    return jnp.concatenate([*of_memory, jnp.ones(len(own), size.dtype)]) * jnp.where(
+        angular, 1.0, size
     )
 
 
@@ -123,9 +186,7 @@ def completed(model: Model, state: State, frames: Frame | None = None) -> State:
     return State(state.q, state.v, rest_states(model, frames.pose()))
 
 
-def _joined(model: Model, frames: Frame, kind: type, function) -> Float[Array, "nz"]:
+def _of_memory(model: Model, frames: Frame, kind: type, function) -> list[Float[Array, "_"]]:
     """Return function(element, A, B, ...) of the elements with memory, in the order of z."""
     tables = [table for table in model.elements if memories(table.rows, kind)]
-    return jnp.concatenate(
-        [of_table(model, frames, table, function).reshape(-1) for table in tables]
-    )
+    return [of_table(model, frames, table, function).reshape(-1) for table in tables]

@@ -1,8 +1,9 @@
 """Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters,
-bushings, torsion springs, anti-roll bars, contacts."""
+bushings, torsion springs, anti-roll bars, contacts, forces."""
 
 from collections.abc import Iterable, Iterator
 from functools import singledispatch
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
+from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.colors import COLORS, GRAY
 from jaxbody.views.scenes.meshes import (
@@ -41,7 +43,7 @@ def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> li
     """Return the parts of all elements but tyres."""
     return [
         part
-        for name, element in named_rows(sequence.model.attached)
+        for name, element in named_rows((*sequence.model.attached, *sequence.model.forces))
         if not isinstance(element, Tyre)
         for part in _parts(element, name, sequence.ends(element), sequence, size, up)
     ]
@@ -67,6 +69,16 @@ def _parts(
         up: the direction against gravity.
     """
     return [rod(("elements", name), cylinder(0.004 * size, sides=8), GRAY, ends[0], ends[1])]
+
+
+@_parts.register
+def _force(element: ForceElement, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
+    """Yield a knot at each point, seen through bodies, and thin rods between them."""
+    knot, mesh = sphere(0.012 * size, 12), cylinder(0.004 * size, sides=8)
+    for i, at in enumerate(ends):
+        yield DrawnPart(("elements", name, f"end {i + 1}"), knot, COLORS[4], at, over=size)
+    for i, (a, b) in enumerate(pairwise(ends)):
+        yield rod(("elements", name, f"line {i + 1}"), mesh, COLORS[4], a, b)
 
 
 @_parts.register

@@ -55,8 +55,10 @@ class PoseSequence:
         return p + R @ np.asarray(point, float)
 
     def ends(self, thing: Any) -> list[np.ndarray]:
-        """Return world positions (n, 3) of each end of an element or a closure."""
-        return [self.points(*place) for place in zip(thing.between, thing.points, strict=True)]
+        """Return world positions (n, 3) of each end of an element or a closure; origins for a force
+        without points."""
+        places = thing.points or [np.zeros(3)] * len(thing.between)
+        return [self.points(*place) for place in zip(thing.between, places, strict=True)]
 
 
 def check_number(modes: Any, number: int, where: str) -> None:
@@ -83,9 +85,10 @@ def mode_title(modes: Any, number: int) -> str:
 
 
 def attaching(model: Model) -> list[KindTable]:
-    """Return the tables of elements and of closures that have points in space."""
+    """Return the tables of elements, forces, and closures that have points in space."""
     return [
         *model.elements,
+        *model.forces,
         *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
     ]
 
@@ -97,7 +100,7 @@ def named_rows(tables: Iterable[KindTable]) -> list[tuple[str, Any]]:
 
 def placed_closures(model: Model) -> list[tuple[str, Closure]]:
     """Return the closures that have points in space, with their names."""
-    return named_rows(attaching(model)[len(model.elements) :])
+    return named_rows(attaching(model)[len(model.elements) + len(model.forces) :])
 
 
 def displaced_poses(

@@ -151,7 +151,7 @@ def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
     model = sequence.model
     named = [
         ("tyres" if isinstance(element, Tyre) and element.radius > 0 else "elements", name, element)
-        for name, element in named_rows(model.attached)
+        for name, element in named_rows((*model.attached, *model.forces))
     ]
     named += [
         ("closures", name, closure) for name, closure in placed_closures(model) if is_link(closure)

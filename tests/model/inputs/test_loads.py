@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 import jaxbody as jb
 from jaxbody import Status, laws, plots
 from jaxbody.core.arrays import device_array
-from jaxbody.mechanics.load_paths import alike, generalized_force
+from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.load_paths import AppliedLoads, alike, generalized_force
 from jaxbody.model.inputs.signals import Samples, Sine
+from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.suspension.presets import presets
 
 G = 9.81
@@ -287,7 +289,10 @@ def test_alike_loads_are_traced_as_one_and_act_as_all_of_them():
         groups, members = alike([jax.tree.map(device_array, load) for load in loads])
         assert members == [list(range(0, count, 2)), list(range(1, count, 2))]
         parts = tuple(jnp.asarray(weights[group]) for group in members)
-        return lambda q: generalized_force(ENGINE, q, groups, parts, jnp.zeros(6))
+        applied = AppliedLoads(groups, parts, jnp.zeros(3))
+        return lambda q: generalized_force(
+            configuration_at(Coordinates(ENGINE), q, base=False), applied
+        )
 
     pulls = weights[:, None] * np.where(np.arange(20)[:, None] % 2, forces @ R.T, forces)
     expected = np.concatenate([pulls.sum(0), np.cross(points @ R.T, pulls).sum(0)])

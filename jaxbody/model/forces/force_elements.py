@@ -1,0 +1,261 @@
+"""Elements without a potential: forces and moments on frames, from the motion of these frames, from
+readings of sensors and from states of their own.
+
+    P = sum of F . v* + M . w*      virtual power, by which they enter the equations of motion
+    z' = f(frames, readings, z, t)  states of their own
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import Array, Float
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.descriptions import Described
+from jaxbody.geometry.fields import Kind, field
+from jaxbody.geometry.frames import Frame, Wrench
+from jaxbody.geometry.vectors import cross, rotate, rotate_back
+
+PLAIN = {"kind": Kind(), "words": {}}  # of a field without unit
+
+
+class ForceInputs(eqx.Module):
+    """What a force element sees at one instant: its `frames`, in the order of `between`, with p, R,
+    v, w, point(a) and velocity(a); its `readings` by name; its states `z`; the time `t` [s]."""
+
+    frames: tuple[Frame, ...]
+    readings: dict[str, Array]
+    z: Float[Array, "nz"]
+    t: Float[Array, ""]
+
+    def opposed(self, force: Any, a: Any = (0, 0, 0), b: Any = (0, 0, 0)) -> tuple[Wrench, ...]:
+        """Return the wrenches of `force` [N], in world axes, on point b of the second frame, and of
+        its opposite on point a of the first."""
+        arms = [
+            rotate(frame.R, jnp.asarray(x, frame.R.dtype))
+            for frame, x in zip(self.frames, (a, b), strict=True)
+        ]
+        return (-force, -cross(arms[0], force)), (force, cross(arms[1], force))
+
+
+class ForceElement(Described, eqx.Module):
+    """The base class of elements that exert forces without a potential, among the `elements` of a
+    model.
+
+    A user-defined one defines `forces` and, if it has states, `states` and `rates`. At rest its
+    rates are zero, which fixes states such as integrals; states without influence at rest keep
+    those of `start`.
+
+    Args:
+        between: names of the frames on which it acts, or one name
+        reads: {name: sensor}, by default none. A force can read the accelerations of supports only,
+            rates can read all. Gains and biases of sensors apply; a lag is a state of your own.
+
+    A self-leveling strut: a force that grows with the time integral of the travel.
+
+    >>> class Leveler(jb.ForceElement):
+    ...     gain: jax.Array = jb.field("N/m s")
+    ...     states, state_units = ("integral",), ("m s",)
+    ...     def forces(self, now):
+    ...         return now.opposed(-self.gain * now.z[0] * jnp.array([0, 0, 1.0]))
+    ...     def rates(self, now):
+    ...         return now.readings["travel"][None]
+    >>> model = jb.Model(
+    ...     bodies={"car": jb.Body(mass=300.0)},
+    ...     joints={"car": jb.Guide("world", axis=[0, 0, 1])},
+    ...     elements={
+    ...         "spring": jb.SpringDamper(
+    ...             ("car", [0, 0, 0]), ("world", [0, 0, -1]), spring=2e4, damper=2e3, free_length=1
+    ...         ),
+    ...         "level": Leveler(
+    ...             ("world", "car"),
+    ...             gain=jnp.array(1e4),
+    ...             reads={"travel": jb.Elongation("spring")},
+    ...         ),
+    ...     },
+    ...     gravity=[0, 0, -10.0],
+    ... )
+    >>> eq = jb.equilibrium(model)
+    >>> round(float(eq.elongations["spring"]), 12) + 0.0, round(float(eq.state.z[0]), 12)
+    (0.0, -0.3)
+    """
+
+    between: tuple[str, ...] = eqx.field(
+        static=True, converter=lambda on: plain((on,) if isinstance(on, str) else tuple(on))
+    )
+    # keyword-only, which type checkers see in a field of Equinox alone
+    reads: dict[str, Any] | None = eqx.field(default=None, kw_only=True, metadata=PLAIN)
+    # the present states, where a model holds them
+    z: Float[Array, "nz"] | None = eqx.field(default=None, kw_only=True, metadata=PLAIN)
+    states: ClassVar[tuple[str, ...]] = ()  # descriptions of the states
+    state_units: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def forces(self, now: ForceInputs) -> tuple[Wrench, ...]:
+        """Return force [N] and moment about its origin [N m] on each frame, in world axes."""
+
+    def rates(self, now: ForceInputs) -> Float[Array, "nz"]:
+        """Return z', the rates of the states."""
+        return jnp.zeros_like(now.z)
+
+    @property
+    def points(self) -> tuple[Float[Array, "*rows 3"], ...]:
+        """The points of attachment, one in each frame."""
+        return ()
+
+    def as_drawn(self, *orientations: Float[Array, "4"]) -> ForceElement:
+        """Return the element with the fields that follow from the drawing."""
+        return self
+
+    def seen(self, model: Any, now: Any, frames: tuple[Frame, ...], *, rates: bool) -> ForceInputs:
+        """Return what its forces, or its rates, see in the frames of a model at an instant."""
+        readings = {}
+        for name, sensor in (self.reads or {}).items():
+            if not rates and refers_to_caused(sensor, model):
+                continue
+            x = sensor.reading(model, now)
+            x = x if sensor.gain is None else sensor.gain * x
+            readings[name] = x if sensor.bias is None else sensor.disturbed(x, sensor.bias)
+        z = jnp.zeros(0, frames[0].p.dtype) if self.z is None else self.z
+        return ForceInputs(frames, readings, z, jnp.asarray(now.t))
+
+
+class PointPair(ForceElement):
+    """The base class of forces of point a of one frame against point b of another, by the
+    displacement x of a from b and its rate, in the axes of the second frame."""
+
+    a: Float[Array, "3"] = field("m")
+    b: Float[Array, "3"] = field("m")
+
+    @property
+    def points(self):
+        return self.a, self.b
+
+    def relative(self, now: ForceInputs) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        """Return x [m] and x' [m/s]."""
+        A, B = now.frames
+        away = A.point(self.a) - B.p
+        rate = A.velocity(self.a) - B.v - cross(B.w, away)
+        return rotate_back(B.R, away) - self.b, rotate_back(B.R, rate)
+
+    def acting(self, now: ForceInputs, force: Float[Array, "3"]) -> tuple[Wrench, Wrench]:
+        """Return the wrenches of a force on the first frame, in the axes of the second, and of its
+        opposite on the second, both at the point a."""
+        A, B = now.frames
+        F = rotate(B.R, force)
+        return (F, cross(rotate(A.R, self.a), F)), (-F, -cross(A.point(self.a) - B.p, F))
+
+
+def refers_to_caused(sensor: Any, model: Any) -> bool:
+    """Return whether a sensor reads accelerations that forces cause, other than those of supports,
+    which are imposed."""
+    imposed = ("world", *model.layout.supports)
+    return sensor.needs_accelerations(model) and not (
+        not sensor.reactions and set(sensor.names) <= set(imposed)
+    )
+
+
+def state_units_of(force: Any) -> tuple[str, ...]:
+    """Return the unit of each state of a force element, "" where none is stated."""
+    return (*force.state_units, *[""] * (len(force.states) - len(force.state_units)))
+
+
+def check_force(problems: Problems, where: str, force: ForceElement, model: Any) -> None:
+    """Check the sensors of a force element on a model, and the shapes of what its functions return;
+    nothing is computed. Errors: WRONG_KIND, DUPLICATE_NAME, those of sensors, BAD_CHAIN,
+    ALGEBRAIC_LOOP, FUNCTION_FAILED, BAD_SHAPE."""
+    sensors, known = {}, len(problems.collected)
+    for name, sensor in (force.reads or {}).items():
+        at = f"{where}.reads[{name!r}]"
+        if not hasattr(sensor, "reading"):
+            problems.add(
+                "WRONG_KIND",
+                at,
+                f"is a {type(sensor).__name__}",
+                value=sensor,
+                limit="a sensor, such as jb.Position(...)",
+            )
+            continue
+        problem = sensor.problem(model, at)
+        problems.collected += [] if problem is None else [problem]
+        if sensor.reactions or sensor.lag is not None or sensor.delay is not None:
+            what = "reads reactions" if sensor.reactions else "has a lag or a delay"
+            problems.add(
+                "BAD_CHAIN",
+                at,
+                what,
+                value=sensor,
+                limit="gain and bias",
+                hint="Make a lag a state of the element; read a LoadCell in place of a Reaction.",
+            )
+        twin = next((other for other, x in sensors.items() if eqx.tree_equal(x, sensor)), None)
+        if twin is not None:
+            problems.add(
+                "DUPLICATE_NAME",
+                at,
+                f"is the same reading as '{twin}'",
+                value=name,
+                hint="Leave one of them out.",
+            )
+        sensors[name] = sensor
+    if len(problems.collected) > known:
+        return
+    caused = {name for name, sensor in sensors.items() if refers_to_caused(sensor, model)}
+    dtype, n = model.gravity.dtype, len(force.between)
+    still = np.zeros(3, dtype)
+    frames = (Frame(still, np.eye(3, dtype=dtype), still, still),) * n
+    readings: Any = {name: np.zeros(x.shape, dtype) for name, x in sensors.items()}
+    seen = ForceInputs(frames, readings, np.zeros(len(force.states), dtype), np.zeros((), dtype))
+    without = replace(seen, readings={k: x for k, x in readings.items() if k not in caused})
+    for function, inputs, shapes in (
+        (force.forces, without, [(3,)] * (2 * n)),
+        (force.rates, seen, [(len(force.states),)]),
+    ):
+        _check_result(problems, f"{where}.{function.__name__}", function, inputs, shapes, caused)
+
+
+def _check_result(
+    problems: Problems,
+    where: str,
+    function: Any,
+    inputs: ForceInputs,
+    shapes: list[tuple[int, ...]],
+    caused: set[str],
+) -> None:
+    """Check that JAX can trace a function, and that it returns arrays of these shapes. `caused`:
+    readings that only `rates` may have."""
+    try:
+        out = [x.shape for x in jax.tree.leaves(jax.eval_shape(function, inputs))]
+    except Exception as error:  # a function of the user may raise anything
+        text = f"raises {type(error).__name__}: {(str(error).splitlines() or [''])[0]:.200}"
+        if isinstance(error, KeyError) and error.args[0] in caused:
+            reading = f"reads[{error.args[0]!r}]"
+            problems.add(
+                "ALGEBRAIC_LOOP",
+                where,
+                f"reads accelerations that it causes: {where} -> acceleration -> {reading}",
+                value=error.args[0],
+                limit="positions, velocities, states, accelerations of supports",
+                hint="Read it in `rates`, as the input of a state with a lag.",
+            )
+        else:
+            problems.add("FUNCTION_FAILED", where, text, limit="functions of jax.numpy")
+        return
+    if out != shapes:
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"returns arrays of shape {', '.join(map(str, out)) or 'none'}",
+            value=out,
+            limit=", ".join(map(str, shapes)),
+            hint="`forces` returns force and moment for each frame of `between`, three numbers "
+            "each; `rates` one number for each state.",
+        )
