@@ -154,7 +154,7 @@ def Q(
 ) -> Float[Array, "nv"]:
     """Return the generalized forces of loads and force elements from their virtual power P(v*) =
     Q . v*, v* a virtual Delta': P = sum of F . v* + M . w*."""
-    now = frames_at(model, state, *small).at_time(t, state)
+    now = instant(model, state, t, small, None)
     return _of_wrenches(model, state, exerted(holding(model, state.z), now, loads), *small)[0]
 
 

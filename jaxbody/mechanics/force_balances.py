@@ -124,7 +124,7 @@ def _kept(J: Float[Array, "m m"], n: int) -> Bool[Array, "m"]:
 
 
 def by_newton(
-    coordinates: Coordinates, applied: AppliedLoads, q, z, max_steps: int
+    coordinates: Coordinates, applied: AppliedLoads, q, z, max_steps: Any
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return q, z, s and the number of iterations at the end of the path from q and z, and whether
     g is finite at its start."""
@@ -140,7 +140,7 @@ def by_newton(
         r, J = on_closures(coordinates, q, g, J, scale, g)
         unit = jnp.max(jnp.abs(J[:n, :n]), initial=0.0)
         shift = reachable(SHIFT, dtype, 8) * jnp.where(unit > 0, unit, 1.0)
-        moving = jnp.diag(jnp.arange(len(J)) < n).astype(dtype)
+        moving = jnp.diag((np.arange(len(J)) < n).astype(dtype))
         step = -jnp.linalg.solve(J + shift * moving, r)
         longest = jnp.max(jnp.abs(step[:n]), initial=0.0)
         after = moved(coordinates, q, scale * step[:n]), z + step[n:]
@@ -160,7 +160,7 @@ def by_newton(
             jnp.where(ended, jnp.minimum(1.0, s + length), target),
             length,
             jnp.where(ended, 0, iteration + 1),
-            paths + ended,
+            paths + ended.astype(paths.dtype),
             steps + 1,
         )
 
@@ -282,7 +282,7 @@ def from_start(
 
 
 def search_for_balance(
-    model: Model, start: Float[Array, "nq"] | None, z: Any, applied: AppliedLoads, max_steps: int
+    model: Model, start: Float[Array, "nq"] | None, z: Any, applied: AppliedLoads, max_steps: Any
 ) -> SearchResult:
     """Search from `start`; if the path from there does not reach its end, or a motion grows there,
     also from where the potential energy is least without force elements.
@@ -296,13 +296,13 @@ def search_for_balance(
 
 
 @program
-def _from_start(model: Model, start, z, applied: AppliedLoads, max_steps: int) -> SearchResult:
+def _from_start(model: Model, start, z, applied: AppliedLoads, max_steps: Any) -> SearchResult:
     return from_start(Coordinates(relaxed(model, z)), start, applied, model, max_steps)
 
 
 @program
 def _from_descent(
-    model: Model, start, z, applied, max_steps: int, first: SearchResult, settled: Bool[Array, ""]
+    model: Model, start, z, applied, max_steps: Any, first: SearchResult, settled: Bool[Array, ""]
 ) -> SearchResult:
     coordinates = Coordinates(relaxed(model, z))
     descent = search_by_descent(coordinates, start, jnp.where(settled, 0, max_steps))

@@ -67,7 +67,7 @@ def check_names(problems: Problems, groups: dict[str, dict[str, Any]]) -> None:
             seen[name], folded[alike] = group, name
 
 
-def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
+def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: Any) -> dict[str, Any]:
     """Return the objects of the right kind; a problem is added for each of the others."""
     for name, thing in things.items():
         word = getattr(kind, "__name__", "Element")

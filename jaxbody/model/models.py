@@ -59,7 +59,7 @@ from jaxbody.numerics.small_systems import independent_rows
 KINDS = {
     "bodies": Body,
     "supports": Support,
-    "elements": Element | ForceElement,
+    "elements": (Element, ForceElement),
     "joints": Joint,
     "closures": Closure,
 }

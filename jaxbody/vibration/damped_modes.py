@@ -100,7 +100,7 @@ class ComplexModes(ModalResult):
         natural = np.asarray(self.natural_frequency)
         decay = tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
         poles = np.asarray(self.relaxations)
-        poles = poles.real if not np.any(poles.imag) else poles
+        poles = poles if np.any(np.imag(poles)) else np.real(poles)
         rows = [(str(i + 1), pole) for i, pole in enumerate(poles)]
         relaxations = [tables.PrintedTable("", ("relaxation", "pole [1/s]"), rows)] if rows else []
         return relaxations + self.table(

@@ -538,7 +538,7 @@ def _system(
     state: State,
     status: Any,
     loads: tuple[Load, ...],
-    blocks: dict[str, Array],
+    blocks: dict[str, Any],
     r: Float[Array, "nv"],
     basis: Basis,
     moves: Any,

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, float_array, is_concrete
+from jaxbody.core.arrays import Array, Float, Inexact, Int, float_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
@@ -45,7 +45,7 @@ class Branches(Labeled, Result):
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
     damping_ratio: Float[Array, "k n"]
-    shapes: Float[Array, "k nv n"]
+    shapes: Inexact[Array, "k nv n"]
     order: Int[Array, "k n"]
     mac: Float[Array, "k n"]
     status: Int[Array, "k"]
@@ -236,11 +236,9 @@ def _track(
             * at_value[:, order].astype(shapes.dtype)
         )  # coordinates of the reference in its matching space
         projected = shapes @ amounts
-        projected = projected / jnp.sqrt(
-            jnp.sum(
-                jnp.conj(projected) * (M.astype(projected.dtype) @ projected), 0, keepdims=True
-            ).real
-        )
+        squares = jnp.conj(projected) * (M.astype(projected.dtype) @ projected)
+        size = jnp.sqrt(jnp.sum(squares, 0, keepdims=True).real)
+        projected = projected / size.astype(projected.dtype)
         label = jnp.where(shared, label, n + jnp.arange(n))
         return (jnp.where(shared, projected, shapes[:, order]), label), (
             order,

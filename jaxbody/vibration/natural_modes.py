@@ -91,6 +91,8 @@ class ModalResult(Labeled, Result):
 
     def explain(self) -> str:
         status, (growing, still) = Status(int(self.status)), self.growing_and_still()
+        if status == Status.NOT_SYMMETRIC:
+            return "use complex_modes (in commands --damped)"
         if status == Status.SINGULAR_M:
             return "; ".join(massless_motions(self.layout, self.M, self.model.independent))
         marked = {

@@ -52,7 +52,7 @@ def test_the_guide_and_every_kind_of_extension_run():
     names = {label(page) for page in RUNNING}
     assert {f"guide/{name}" for name in GUIDE} <= names
     assert {
-        f"extending/{name}" for name in ("law", "element", "joint", "sensor", "motion")
+        f"extending/{name}" for name in ("law", "element", "force", "joint", "sensor", "motion")
     } <= names
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from jaxbody.core.arguments import check_returned, is_own
 from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.model.elements.elements import Element
 from jaxbody.model.laws.law_states import memories
 from jaxbody.model.laws.laws import Law, parts
 
@@ -45,7 +44,7 @@ def unknown_frame(name: str, where: str, known: tuple[str, ...], what: str) -> P
     )
 
 
-def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
+def check_laws(problems: Problems, elements: dict[str, Any]) -> None:
     """Check that JAX can trace the laws written by the user and that they return one number, or,
     with memory, one rate for each state; each structure is traced once."""
     checked = set()

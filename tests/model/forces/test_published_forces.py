@@ -341,3 +341,15 @@ def test_a_bearing_turns_its_stator_too():
     moment = sum(M + jnp.cross(A.p, F) for (F, M), A in zip(wrenches, frames, strict=True))
     assert float(jnp.abs(wrenches[0][0]).max()) > 1
     np.testing.assert_allclose(np.concatenate([force, moment]), np.zeros(6), atol=1e-13 * 200)
+
+
+def test_a_motion_from_rest_begins_in_the_equilibrium_and_stays_there():
+    """x and i are those of the closed form above, held for half a second."""
+    m, g, n = 5.0, 9.81, NUMBERS
+    stiffness = n["current_stiffness"] * n["proportional"] / n["resistance"]
+    x = -m * g / (stiffness - n["displacement_stiffness"])
+    run = jb.simulate(levitated(gravity=g), jnp.linspace(0.0, 0.5, 6), initial="rest")
+    np.testing.assert_allclose(run.state.q[:, 0], x, rtol=1e-9)
+    np.testing.assert_allclose(
+        run.state.z[:, 0], -n["proportional"] * x / n["resistance"], rtol=1e-9
+    )
