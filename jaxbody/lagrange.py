@@ -45,6 +45,7 @@ from jaxbody.model.joints.element_tables import (
     force_rates,
     inertial_tables,
     of_table,
+    power,
     reads_accelerations,
     state_rates,
 )
@@ -163,14 +164,7 @@ def _of_wrenches(
 ) -> tuple[Float[Array, "nv"], Float[Array, "ns 6"]]:
     """Return the generalized forces on Delta, and those on Xi, of wrenches on frames."""
 
-    def power(moved):
-        P = jnp.zeros((), state.q.dtype)
-        for on, (force, moment) in acting:
-            rows = np.array([model.layout.frame(name) for name in on])
-            P = P + jnp.sum(force * moved.v[rows]) + jnp.sum(moment * moved.w[rows])
-        return P
-
-    return _by_virtual_power(power, model, state, *small)
+    return _by_virtual_power(lambda moved: power(model, acting, moved), model, state, *small)
 
 
 def H(model: Model, state: State, z_dot: Array, *small: Array) -> Float[Array, "nv"]:
@@ -359,9 +353,10 @@ def rates(model: Model, state: State, motions, loads: tuple[Load, ...], t: Array
     )
 
     def rates_at(v_dot):
-        """Return z' at the accelerations of the motion."""
-        now = instant(model, state, t, here, (state.v, v_dot, xi_dot, xi_ddot))
-        return state_rates(held, now) if model.layout.nz else z_dot
+        """Return z', at the accelerations of the motion where a force element reads them."""
+        if not reads_accelerations(model):
+            return z_dot
+        return state_rates(held, instant(model, state, t, here, (state.v, v_dot, xi_dot, xi_ddot)))
 
     if not model.closures:
         v_dot = jnp.linalg.solve(M, f)

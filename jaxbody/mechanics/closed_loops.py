@@ -44,7 +44,7 @@ from jaxbody.model.joints.element_tables import (
     reads_accelerations,
     state_rates,
 )
-from jaxbody.model.joints.kinematics import Motions, jacobian
+from jaxbody.model.joints.kinematics import Motions, frames_at_time, jacobian
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
@@ -386,11 +386,20 @@ def rates(
     model: Model, state: State, t: Float[Array, ""], motions: Motions, loads: tuple[Load, ...]
 ) -> tuple[Float[Array, "nv"], Float[Array, "nz"]]:
     """Return dv/dt and dz/dt."""
-    dynamics = dynamics_of(holding(model, state.z), motions, loads)
-    v_dot = dynamics.acceleration(t, state.q, state.v)
+    held, v_dot = holding(model, state.z), acceleration(model, state, t, motions, loads)
     if not model.layout.nz:
         return v_dot, state.z
-    return v_dot, state_rates(dynamics.model, dynamics.accelerated(t, state))
+    return v_dot, state_rates(held, seen_by_forces(held, motions, loads, t, state))
+
+
+def seen_by_forces(
+    model: Model, motions: Motions, loads: tuple[Load, ...], t: Float[Array, ""], state: State
+) -> Instant:
+    """Return the frames of a model that holds its states, with accelerations if force elements read
+    them."""
+    if reads_accelerations(model):
+        return dynamics_of(model, motions, loads).accelerated(t, state)
+    return frames_at_time(model, motions, t, state)
 
 
 def acceleration(

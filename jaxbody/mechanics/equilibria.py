@@ -35,7 +35,6 @@ from jaxbody.mechanics.equilibrium_solvers import (
     SearchResult,
     along_path,
     eigenvalue_signs,
-    no_loads,
     search_by_descent,
     search_under_loads,
 )
@@ -462,7 +461,7 @@ def equilibrium_of(
     return equilibrium_at(
         coordinates,
         search_by_descent(coordinates, start, max_steps),
-        no_loads(model.gravity.dtype),
+        in_full((), model.gravity.dtype),
         model,
     )
 
@@ -475,10 +474,7 @@ def _equilibrium_at(
 
 
 def equilibrium_at(
-    coordinates: Coordinates,
-    search: SearchResult,
-    applied: AppliedLoads,
-    given: Model,
+    coordinates: Coordinates, search: SearchResult, applied: AppliedLoads, given: Model
 ) -> Equilibrium:
     """Return the equilibrium where a search ended: its stability, its derivative, deformations and
     forces. `given`: the model as the user gave it; in the model of the coordinates elements with

@@ -294,8 +294,3 @@ def _by_descent(
 
     frozen, ends = jax.lax.stop_gradient(applied), (search, settled)
     return frozen.each(one, ends) if many else one(frozen, ends)
-
-
-def no_loads(dtype) -> AppliedLoads:
-    """Return no loads and no change of gravity."""
-    return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
+from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of, seen_by_forces
 from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
@@ -21,11 +21,11 @@ from jaxbody.model.joints.element_tables import (
     each_element,
     each_force,
     exerted_by_loads,
-    reads_accelerations,
 )
 from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
+from jaxbody.model.storage import KindTable
 
 # times after a state at which it is checked, relative to the time since the first sample or, if
 # that is shorter, to a second
@@ -75,10 +75,10 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     wrenches = [
         jnp.concatenate([x[0] for x in wrench]) for _, wrench in exerted_by_loads(model, now, loads)
     ]
-    own = _finite_at(model, at_rest(now) if reads_accelerations(model) else now)
+    own = _finite_at(model, seen_by_forces(model, motions, loads, moment, moved))
     return (
         [(jnp.isfinite(motion(moment)).all(),) for motion in motions],
-        _rows(model, each_element(model, now, numbers))
+        _rows(model.elements, each_element(model, now, numbers))
         | {name: (one,) for name, one in own.items()},
         [(jnp.isfinite(wrench).all(),) for wrench in wrenches],
     )
@@ -124,7 +124,10 @@ def _changes(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
         wrenches = [force for _, (force, _) in exerted_by_loads(model, now, loads)]
         return (
             accelerations,
-            _rows(model, each_element(model, now, lambda element, *frames: element.force(*frames))),
+            _rows(
+                model.elements,
+                each_element(model, now, lambda element, *frames: element.force(*frames)),
+            ),
             wrenches,
         )
 
@@ -146,11 +149,11 @@ def _named(
     return list(zip(names, [*of_motions, *of_elements.values(), *of_loads], strict=True))
 
 
-def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
+def _rows(tables: tuple[KindTable, ...], values: list[Any]) -> dict[str, Any]:
     """Return {name of an element: its values} from the values of each table of elements."""
     return {
         name: jax.tree.map(lambda x, i=i: x[i], value)
-        for table, value in zip(model.elements, values, strict=True)
+        for table, value in zip(tables, values, strict=True)
         for i, name in enumerate(table.names)
     }
 
@@ -172,27 +175,11 @@ def _finite_at(model: Model, now: Any) -> dict[str, Bool[Array, ""]]:
     """Return whether forces and rates are finite, for each force element of a model that holds its
     states."""
 
-    def finite(function, rates):
-        return [
-            jnp.stack([jnp.isfinite(x).reshape(len(table), -1).all(1) for x in parts]).all(0)
-            for table, parts in zip(
-                model.forces,
-                map(jax.tree.leaves, each_force(model, now, function, rates=rates)),
-                strict=True,
-            )
-        ]
+    def finite(force, seen):
+        parts = jax.tree.leaves((force.forces(seen), force.rates(seen)))
+        return jnp.stack([jnp.isfinite(part).all() for part in parts]).all()
 
-    both = zip(
-        finite(lambda x, now: x.forces(now), False),
-        finite(lambda x, now: x.rates(now), True),
-        strict=True,
-    )
-    rows = [one & other for one, other in both]
-    return {
-        name: row[i]
-        for table, row in zip(model.forces, rows, strict=True)
-        for i, name in enumerate(table.names)
-    }
+    return _rows(model.forces, each_force(model, now, finite, rates=True))
 
 
 def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> str:
@@ -232,7 +219,7 @@ def _finite(
         parts = (element.potential(*(f.pose() for f in frames)), second_order(element, *frames))
         return jnp.stack([jnp.isfinite(part).all() for part in jax.tree.leaves(parts)]).all()
 
-    return _rows(model, each_element(model, frames, finite))
+    return _rows(model.elements, each_element(model, frames, finite))
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:

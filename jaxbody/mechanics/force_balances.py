@@ -25,7 +25,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Status
 from jaxbody.lagrange import force_matrices
 from jaxbody.mechanics.constraints import closed
-from jaxbody.mechanics.equilibrium_solvers import SearchResult, search_by_descent
+from jaxbody.mechanics.equilibrium_solvers import SINGULAR, SearchResult, search_by_descent
 from jaxbody.mechanics.free_motions import (
     closure_stiffness,
     constraint_force,
@@ -61,10 +61,9 @@ from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scale_of, scaled, size_of
 from jaxbody.model.states import State
-from jaxbody.numerics.eigenproblems import first_order
+from jaxbody.numerics.eigenproblems import first_order, rows_of_one_size
 from jaxbody.numerics.precisions import NEWTON, reachable
 
-SINGULAR = 1e-12  # smallest singular value, relative to the largest, that counts as zero
 GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
 
@@ -206,7 +205,7 @@ def growing_poles(
     oscillates = jnp.abs(jnp.imag(s)) > reachable(GROWS, K.dtype, 256) * jnp.abs(s)
     kept = jnp.concatenate([jnp.zeros(n, bool), _kept(K, n)[n:]])
     rows = jnp.where(kept[:, None], jnp.eye(m, dtype=K.dtype), K)
-    values = jnp.linalg.svdvals(rows / jnp.max(jnp.abs(rows), 1, initial=1e-300, keepdims=True))
+    values = jnp.linalg.svdvals(rows_of_one_size(rows))
     singular = values[-1] <= reachable(SINGULAR, K.dtype) * values[0]
     return jnp.stack([jnp.sum(grows & oscillates), jnp.sum(grows & ~oscillates)]), singular
 

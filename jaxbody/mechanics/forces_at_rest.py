@@ -28,6 +28,7 @@ from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
 from jaxbody.mechanics.load_paths import AppliedLoads, acting_at_rest, with_load_gravity
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, turning_rows
+from jaxbody.model.joints.element_tables import total
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model
@@ -139,12 +140,11 @@ def residual_and_reactions(
     """Return dV/dDelta - lambda Q, and force and moment about its origin on each support, -dV/dXi
     plus the loads on all that it carries by joints, in world axes. `at` has columns for the
     base."""
-    layout, nv = at.model.layout, at.model.layout.nv
-    total, twists = -slope(with_load_gravity(at, applied, factor)), frame_twists(at)
-    for on, wrenches in acting_at_rest(at.model, at.frames, applied, factor):
-        rows = np.array([layout.frame(name) for name in on])
-        total = total + jnp.sum(twists[rows] * jnp.concatenate(wrenches, -1)[:, None], (0, 2))
-    return -total[:nv], total[nv:].reshape(-1, 6)
+    nv, forces = at.model.layout.nv, -slope(with_load_gravity(at, applied, factor))
+    if acting := acting_at_rest(at.model, at.frames, applied, factor):
+        on_frames = jnp.concatenate(total(at.model, acting), -1)
+        forces = forces + jnp.sum(frame_twists(at) * on_frames[:, None], (0, 2))
+    return -forces[:nv], forces[nv:].reshape(-1, 6)
 
 
 def element_rows(

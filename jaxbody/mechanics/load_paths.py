@@ -26,12 +26,7 @@ from jaxbody.mechanics.free_motions import moved, on_closures
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.model.elements.second_derivatives import turning
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.element_tables import (
-    Acting,
-    at_rest,
-    exerted,
-    exerted_by_loads,
-)
+from jaxbody.model.joints.element_tables import Acting, at_rest, exerted, exerted_by_loads, total
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.sizes import scaled
@@ -142,19 +137,14 @@ def generalized_force(
     """Return Q at q (+) Delta for the rates of Delta, by default at q, from the virtual power sum
     of F . v* + M . w*: that of loads, times `factor`, and that of force elements."""
     coordinates, q = at.coordinates, at.q
-    layout = coordinates.model.layout
-    delta = jnp.zeros(layout.nv, q.dtype) if delta is None else delta
+    delta = jnp.zeros(at.model.layout.nv, q.dtype) if delta is None else delta
     if not applied.loads and not at.model.forces:
         return jnp.zeros_like(delta)
     poses, pull = jax.vjp(
         lambda delta: coordinates.at_rest(coordinates.retract(q, delta)).pose(), delta
     )
-    p, R = jnp.zeros_like(poses.p), jnp.zeros_like(poses.R)
-    for on, (F, M) in acting_at_rest(at.model, poses.at_rest(), applied, factor):
-        rows = np.array([layout.frame(name) for name in on])
-        p = p.at[rows].add(F)
-        R = R.at[rows].add(product(skew(M), poses.R[rows]) / 2)  # as <[M] R, [w] R>/2 = M . w
-    return pull(Pose(p, R))[0]
+    F, M = total(at.model, acting_at_rest(at.model, poses.at_rest(), applied, factor))
+    return pull(Pose(F, product(skew(M), poses.R) / 2))[0]  # as <[M] R, [w] R>/2 = M . w
 
 
 def stiffness_of_loads(

@@ -24,10 +24,10 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.constraints import CLOSED, closed_on
 from jaxbody.mechanics.equilibria import Equilibrium, change_of_equilibrium, equilibrium_at
-from jaxbody.mechanics.equilibrium_solvers import AT_REST, no_loads, search_by_descent
+from jaxbody.mechanics.equilibrium_solvers import AT_REST, search_by_descent
 from jaxbody.mechanics.force_balances import change_of_balance, from_start
 from jaxbody.mechanics.hessians import configuration_at
-from jaxbody.mechanics.load_paths import tangent
+from jaxbody.mechanics.load_paths import in_full, tangent
 from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.joints.closure_tables import drawn, gaps_from
 from jaxbody.model.joints.element_tables import completed
@@ -70,7 +70,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     def displaced(xi):
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
 
-    on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
+    on_supports, unloaded = displaced(xi), in_full((), model.gravity.dtype)
     start = _start(coordinates, on_supports)
     search = (
         from_start(on_supports, start, unloaded, model, MAX_STEPS, stability=False)

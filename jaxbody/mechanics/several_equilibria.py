@@ -22,10 +22,10 @@ from jaxbody.mechanics.equilibrium_solvers import (
     SearchResult,
     descend,
     eigenvalue_signs,
-    no_loads,
 )
 from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
 from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiffness
+from jaxbody.mechanics.load_paths import in_full
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
@@ -216,7 +216,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         return equilibrium_at(
             coordinates,
             SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)),
-            no_loads(q.dtype),
+            in_full((), q.dtype),
             model,
         )
 

@@ -43,12 +43,7 @@ from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
 from jaxbody.model.joints.kinematics import Chart, Motions
 from jaxbody.model.models import Model
-from jaxbody.model.preconditions import (
-    check_moves,
-    check_precision,
-    check_state,
-    unattached,
-)
+from jaxbody.model.preconditions import check_moves, check_precision, check_state, unattached
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
 from jaxbody.motion.integrations import CONSTANT, integrate

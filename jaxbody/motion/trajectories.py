@@ -17,9 +17,9 @@ from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
-from jaxbody.geometry.frames import Instant, Pose
+from jaxbody.geometry.frames import Pose
 from jaxbody.lagrange import kinetic, potential
-from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
+from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of, seen_by_forces
 from jaxbody.mechanics.dynamics import accelerated
 from jaxbody.mechanics.failure_causes import (
     changing_most,
@@ -36,13 +36,12 @@ from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import turning_rows
 from jaxbody.model.joints.element_tables import (
-    Acting,
     each_element,
     exerted,
     exerted_by_loads,
     inertial_tables,
     outside_law_range,
-    reads_accelerations,
+    power,
 )
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.leaf_paths import by_name, of_elements
@@ -404,26 +403,12 @@ def _closure_reactions(model, motions, t, state, loads):
 
 def _load_power(model, motions, t, state, loads):
     now = frames_at_time(model, motions, t, state)
-    return _power(model, now, exerted_by_loads(model, now, loads))
+    return power(model, exerted_by_loads(model, now, loads), now)
 
 
 def _force_power(model, motions, t, state, loads):
-    now = (
-        dynamics_of(model, motions, loads).accelerated(t, state)
-        if reads_accelerations(model)
-        else frames_at_time(model, motions, t, state)
-    )
-    return _power(model, now, exerted(model, now))
-
-
-def _power(model: Model, now: Instant, acting: Acting) -> Float[Array, ""]:
-    """Return the power of forces and moments on frames."""
-    powers = (
-        jnp.sum(F * now.v[rows]) + jnp.sum(M * now.w[rows])
-        for on, (F, M) in acting
-        for rows in [np.array([model.layout.frame(name) for name in on])]
-    )
-    return sum(powers, jnp.zeros((), now.p.dtype))
+    now = seen_by_forces(model, motions, loads, t, state)
+    return power(model, exerted(model, now), now)
 
 
 def _support_power(model, motions, t, state, loads):

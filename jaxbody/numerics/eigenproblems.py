@@ -311,6 +311,12 @@ def highest_rates(M: Any, C: Any, n: int) -> Any:
     return jnp.concatenate([M[:, :n], C[:, n:]], 1)
 
 
+def rows_of_one_size(K: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """Return K with its rows divided by their largest number, so that it is singular where K is,
+    whatever the units of the rows."""
+    return K / jnp.max(jnp.abs(K), 1, initial=1e-300, keepdims=True)
+
+
 def eig(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Complex[Array, "n n"]]:
     """Return s and x (columns, unit length) of A x = s x, in the order of LAPACK. Error: DEVICE."""
     if (device := jax.default_backend()) not in WITH_EIG:

@@ -16,6 +16,7 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.geometry.vectors import cross
 from jaxbody.mechanics.equilibrium_solvers import SINGULAR
+from jaxbody.mechanics.force_balances import GROWS
 from jaxbody.mechanics.internal_coordinates import following
 from jaxbody.model.sizes import scaled
 from jaxbody.numerics.eigenproblems import (
@@ -25,9 +26,9 @@ from jaxbody.numerics.eigenproblems import (
     pole_clusters,
     poles,
     refused_if_shared,
+    rows_of_one_size,
 )
 from jaxbody.numerics.precisions import reachable
-from jaxbody.vibration.dynamic_matrices import rows_of_one_size
 from jaxbody.vibration.linearizations import Linearization, LinearSystem, check_system
 from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.vibration.spins import SpinLinearization
@@ -36,7 +37,6 @@ from jaxbody.vibration.spins import SpinLinearization
 REST = 1e-7
 # imaginary parts that count as rounding, relative to the pole and to the largest pole
 SPLIT, SPLIT_AT_REST = 1e-9, 1e-13
-GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
 
 class ComplexModes(ModalResult):

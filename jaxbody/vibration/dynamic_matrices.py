@@ -182,12 +182,6 @@ def _modal_sum(
     return solve, error < reachable(INVERTED, error.dtype, 1024)
 
 
-def rows_of_one_size(K: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """Return K with its rows divided by their largest number, so that it is singular where K is,
-    whatever the units of the rows."""
-    return K / jnp.max(jnp.abs(K), 1, initial=1e-300, keepdims=True)
-
-
 def free_motions(A: DynamicMatrices) -> Complex[Array, "k"]:
     """Return the eigenvalues s of free motions exp(s t), without derivatives and without H."""
     M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))

@@ -41,14 +41,13 @@ from jaxbody.model.inputs.port_inputs import PointForce
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_memory
-from jaxbody.numerics.eigenproblems import ZERO, natural
+from jaxbody.numerics.eigenproblems import ZERO, natural, rows_of_one_size
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibration.dynamic_matrices import (
     DynamicMatrices,
     is_unstable,
     options_by_size,
-    rows_of_one_size,
     solved,
 )
 from jaxbody.vibration.linearizations import Linearization, check_system

@@ -85,6 +85,18 @@ def exerted(model: Model, now: Instant, loads: tuple[ForceElement, ...] = ()) ->
     return parts
 
 
+def total(model: Model, acting: Acting) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Return the total force and moment on each frame."""
+    none = jnp.zeros((len(model.layout.frames), 3), model.gravity.dtype)
+    return summed_on_frames(model, (), (), acting) if acting else (none, none)
+
+
+def power(model: Model, acting: Acting, frames: Frame) -> Float[Array, ""]:
+    """Return P = sum of F . v + M . w."""
+    F, M = total(model, acting)
+    return jnp.sum(F * frames.v) + jnp.sum(M * frames.w)
+
+
 def each_force(model: Model, now: Instant, function, *, rates: bool = False) -> list:
     """Return function(force element, what it sees) of the force elements, table by table."""
 
