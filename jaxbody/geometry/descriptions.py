@@ -27,6 +27,10 @@ class Described:
     A unit is left out where it depends on an unknown owner: a linear law may be that of a spring or
     of a damper."""
 
+    def __init_subclass__(cls, init: bool = True, **options: Any) -> None:
+        """`init=False` tells type checkers that a class has the constructor of its base class."""
+        super().__init_subclass__(**options)
+
     def __repr__(self) -> str:
         return self._described({})
 

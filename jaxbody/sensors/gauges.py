@@ -199,7 +199,7 @@ class LaserLine(Sensor):
         )
 
 
-class LaserVibrometer(LaserLine):
+class LaserVibrometer(LaserLine, init=False):
     """Velocity [m/s] of a body along a beam fixed in the world, n . v, positive along `axis` n.
 
     Without `origin` and `normal`, v is the velocity of `point`, which is accurate while the body
@@ -220,7 +220,6 @@ class LaserVibrometer(LaserLine):
     'm/s'
     """
 
-    __init__ = LaserLine.__init__  # for type checkers
     unit = "m/s"
 
     def reading(self, model, frames):

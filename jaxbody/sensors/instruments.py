@@ -108,7 +108,7 @@ class Accelerometer(Mounted):
         return self.along(frames.R[row], frames.acceleration(row, self.point) - model.gravity)
 
 
-class Gyro(Mounted):
+class Gyro(Mounted, init=False):
     """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
     Its arguments (except `point`) and errors are those of an Accelerometer.
 
@@ -116,7 +116,6 @@ class Gyro(Mounted):
         ((), (3,))
     """
 
-    __init__ = Mounted.__init__  # for type checkers
     unit = "rad/s"
 
     def reading(self, model, frames):
@@ -124,7 +123,7 @@ class Gyro(Mounted):
         return self.along(frames.R[row], frames.w[row])
 
 
-class Inclinometer(Mounted):
+class Inclinometer(Mounted, init=False):
     """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its
     single `axis`, positive upwards,
 
@@ -138,7 +137,6 @@ class Inclinometer(Mounted):
     ((2,), ())
     """
 
-    __init__ = Mounted.__init__  # for type checkers
     unit = "rad"
 
     @property

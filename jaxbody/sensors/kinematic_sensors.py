@@ -39,8 +39,7 @@ class Kinematic(Sensor):
     """The base class of kinematic sensors, with three components in the axes of `relative_to`
     or one.
 
-    Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration. Each
-    subclass repeats `__init__`, because type checkers would assume that of a dataclass."""
+    Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration."""
 
     order: ClassVar[int] = 0
     on: str = eqx.field(static=True, converter=plain)
@@ -100,11 +99,9 @@ class Kinematic(Sensor):
         return twist[:, 3:]
 
 
-class KinematicVector(Kinematic):
+class KinematicVector(Kinematic, init=False):
     """The base class of kinematic sensors whose reading is a vector: `relative` returns it in world
     axes, for frame `row` relative to frame `other`."""
-
-    __init__ = Kinematic.__init__
 
     @abstractmethod
     def relative(self, frames: Instant, row: int, other: int) -> Float[Array, "3"]: ...
@@ -135,7 +132,7 @@ class KinematicOfPoint(KinematicVector):
         return twist[:, :3] + cross(twist[:, 3:], arm[None])
 
 
-class Position(KinematicOfPoint):
+class Position(KinematicOfPoint, init=False):
     """Position [m] of a point of a body or support, in world axes; as an output of responses,
     its displacement from equilibrium.
 
@@ -153,14 +150,13 @@ class Position(KinematicOfPoint):
     ((3,), ())
     """
 
-    __init__ = KinematicOfPoint.__init__
     unit = "m"
 
     def relative(self, frames, row, other):
         return frames[row].point(self.point) - frames.p[other]
 
 
-class Velocity(KinematicOfPoint):
+class Velocity(KinematicOfPoint, init=False):
     """Velocity [m/s] of a point of a body or support. Relative to the world it is the ideal record
     of a geophone.
 
@@ -170,7 +166,6 @@ class Velocity(KinematicOfPoint):
     'm/s'
     """
 
-    __init__ = KinematicOfPoint.__init__
     unit = "m/s"
     order = 1
 
@@ -179,7 +174,7 @@ class Velocity(KinematicOfPoint):
         return frames[row].velocity(self.point) - frames.v[other] - cross(frames.w[other], r)
 
 
-class Acceleration(KinematicOfPoint):
+class Acceleration(KinematicOfPoint, init=False):
     """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity, as used to
     assess ride comfort. An Accelerometer reads the specific force in its own axes, which contains
     gravity.
@@ -197,7 +192,6 @@ class Acceleration(KinematicOfPoint):
     [-10.0, -10.0]
     """
 
-    __init__ = KinematicOfPoint.__init__
     unit = "m/s2"
     order = 2
     accelerations = True
@@ -214,7 +208,7 @@ class Acceleration(KinematicOfPoint):
         )
 
 
-class Rotation(Kinematic):
+class Rotation(Kinematic, init=False):
     """Rotation vector [rad] of a body or support from its reference pose, below half a turn; as an
     output of responses, the rotation from equilibrium.
 
@@ -231,7 +225,6 @@ class Rotation(Kinematic):
     'rad'
     """
 
-    __init__ = Kinematic.__init__
     unit = "rad"
 
     def reading(self, model, frames):
@@ -250,7 +243,7 @@ class Rotation(Kinematic):
         return self.along(rotations.log(product(Q, Q_0.T)))
 
 
-class AngularVelocity(KinematicVector):
+class AngularVelocity(KinematicVector, init=False):
     """Angular velocity [rad/s] of a body or support. Its arguments and errors are those of
     Rotation; a Gyro reads it in its own axes.
 
@@ -258,7 +251,6 @@ class AngularVelocity(KinematicVector):
     (3,)
     """
 
-    __init__ = Kinematic.__init__
     unit = "rad/s"
     order = 1
 
@@ -266,7 +258,7 @@ class AngularVelocity(KinematicVector):
         return frames.w[row] - frames.w[other]
 
 
-class AngularAcceleration(KinematicVector):
+class AngularAcceleration(KinematicVector, init=False):
     """Angular acceleration [rad/s2] of a body or support. Its arguments and errors are those
     of Rotation.
 
@@ -274,7 +266,6 @@ class AngularAcceleration(KinematicVector):
     'rad/s2'
     """
 
-    __init__ = Kinematic.__init__
     unit = "rad/s2"
     order = 2
     accelerations = True
