@@ -29,8 +29,7 @@ import psutil
 import jaxbody as jb
 from jaxbody.core.workers.chunk_programs import ComputedChunk
 from jaxbody.core.workers.chunk_stores import ChunkStore
-from jaxbody.core.workers.dispatches import dispatched
-from jaxbody.core.workers.executors import Crew
+from jaxbody.core.workers.executors import Crew, dispatched
 
 TIMES = np.linspace(0.0, 1.0, 3)
 

@@ -28,8 +28,7 @@ from jaxbody.core.workers.chunk_programs import (
     types_of,
 )
 from jaxbody.core.workers.chunk_stores import ChunkStore, hash_of, nothing
-from jaxbody.core.workers.dispatches import dispatched
-from jaxbody.core.workers.executors import Crew, check_workers
+from jaxbody.core.workers.executors import Crew, check_workers, dispatched
 
 BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
 FEWEST = 16  # chunks in a batch, so that workers end at about the same time

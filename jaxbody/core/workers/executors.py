@@ -1,14 +1,21 @@
-"""Workers of a batch: this process, a number of processes of this machine by loky, or any executor
-of processes that the user gives."""
+"""Workers of a batch, and the chunks sent to them: this process, a number of processes of this
+machine by loky, or any executor of processes that the user gives.
+
+A chunk that is lost with its worker is sent again; one that fails three times is given up. A chunk
+that fails twice, by an error or with its worker, is sent a third time when no other is under way.
+Otherwise a chunk that ends every process that computes it would cause other chunks, which are lost
+with these processes, to be given up too."""
 
 from __future__ import annotations
 
+import concurrent.futures as futures
 import functools
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,11 +23,20 @@ import jax
 
 from jaxbody.core.arguments import kind_of
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
-from jaxbody.core.workers.chunk_programs import worker_name
+from jaxbody.core.workers.chunk_programs import (
+    ComputedChunk,
+    FailedChunk,
+    compute_chunk,
+    worker_name,
+)
 
 IDLE = 300  # time after which idle processes end [s]
 ONE_THREAD = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 FEWEST = 4  # chunks that are sent before any has come back
+TWICE = 2  # failures after which a chunk is sent alone
+MOST_ALONE = 8  # chunks that wait to be sent alone
+# most chunks given up, and most broken executors replaced, before anything is computed
+MOST_FIRST, MOST_RENEWALS = 4, 20
 
 
 class ThisProcess(Executor):
@@ -111,7 +127,7 @@ def check_workers(workers: Any, where: str) -> None:
             return
         message = f"is {workers}"
         hint = f"This machine has {os.cpu_count()} cores; None computes in this process."
-    elif isinstance(workers, ThreadPoolExecutor):
+    elif isinstance(workers, futures.ThreadPoolExecutor):
         message = "is an executor of threads"
         hint = (
             "Programs of one process compute one after the other, as LAPACK in two threads may "
@@ -210,3 +226,119 @@ def _cache() -> dict[str, str]:
 @functools.cache
 def _temporary_folder() -> tempfile.TemporaryDirectory:
     return tempfile.TemporaryDirectory(prefix="jaxbody-programs-")  # removed when this process ends
+
+
+def dispatched(
+    crew: Crew,
+    chunks: Iterable[int],
+    arguments: Callable[[int], tuple[Any, ...]],
+    where: str,
+    *,
+    continued: bool = False,
+) -> Iterator[tuple[int, ComputedChunk | FailedChunk]]:
+    """Yield (chunk, its results or the reason of its failure) for each chunk, as they finish.
+
+    Args:
+        crew: the workers.
+        chunks: numbers of chunks.
+        arguments: chunk -> arguments of `compute_chunk`, made when it is sent.
+        where: the place in the call, for messages.
+        continued: whether other chunks of the batch have been computed before.
+
+    Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST
+    where the first chunks all fail, unless `continued`."""
+    waiting, again, alone = iter(chunks), deque[int](), deque[int]()
+    failures: Counter[int] = Counter()
+    sent: dict[Future[Any], int] = {}
+
+    def send(chunk: int) -> bool:
+        try:
+            sent[crew.executor.submit(compute_chunk, *arguments(chunk))] = chunk
+        except futures.BrokenExecutor:
+            (alone if failures[chunk] == TWICE else again).appendleft(chunk)
+            return False
+        return True
+
+    def given_up(chunk: int, why: FailedChunk) -> bool:
+        failures[chunk] += 1
+        if failures[chunk] <= TWICE:
+            (alone if failures[chunk] == TWICE else again).append(chunk)
+            return False
+        lost = sum(n > TWICE for n in failures.values())
+        if lost >= MOST_FIRST and not crew.seen and not continued:
+            raise JaxbodyError(
+                Problem(
+                    "LOST",
+                    where,
+                    (
+                        f"none of the first {lost} chunks could be computed; the last one: "
+                        f"{why.message}"
+                    ),
+                    hint="Compute a few designs without workers=.",
+                )
+            )
+        return True
+
+    renewals = 0
+    try:
+        while True:
+            broken = False
+            # chunks to be sent alone do not wait until the end, as all may fail
+            full = len(alone) >= (MOST_ALONE if crew.seen else 1)
+            while (
+                not full
+                and not broken
+                and crew.room(len(sent))
+                and (chunk := again.popleft() if again else next(waiting, None)) is not None
+            ):
+                broken = not send(chunk)
+            if not sent and not broken and alone:
+                broken = not send(alone.popleft())
+            if not sent and not broken:
+                return
+            finished = futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ()
+            broken = broken or any(map(_is_of_broken, finished))
+            for future in [*sent] if broken else finished:
+                chunk, answer = sent.pop(future), _answer(future)
+                if isinstance(answer, ComputedChunk):
+                    crew.seen.add(answer.worker)
+                elif not given_up(chunk, answer):
+                    continue
+                yield chunk, answer
+            if broken:
+                renewals = 0 if crew.seen else renewals + 1
+                if renewals > MOST_RENEWALS:
+                    raise JaxbodyError(
+                        Problem(
+                            "BAD_WORKERS",
+                            where,
+                            f"broke {renewals} times before anything was computed",
+                            hint=(
+                                "Processes end as soon as they start: is there memory for them, "
+                                "and can they import jaxbody?"
+                            ),
+                        )
+                    )
+                crew.renew(where)
+    finally:
+        for future in sent:
+            future.cancel()
+
+
+def _is_of_broken(future: Future[Any]) -> bool:
+    """Return whether the executor of a finished future is broken."""
+    return not future.cancelled() and isinstance(future.exception(), futures.BrokenExecutor)
+
+
+def _answer(future: Future[Any]) -> ComputedChunk | FailedChunk:
+    """Return the results of a chunk, or the reason of its failure. Error: OTHER_WORKER if its
+    worker refused it."""
+    if not future.done():
+        return FailedChunk("its worker was lost")
+    try:
+        answer = future.result()
+    except Exception as error:
+        return FailedChunk(f"{type(error).__name__}: {error!s:.200}")
+    if isinstance(answer, FailedChunk) and answer.refused is not None:
+        raise JaxbodyError(answer.refused)
+    return answer

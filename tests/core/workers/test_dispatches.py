@@ -10,8 +10,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.core.errors import Problem
 from jaxbody.core.workers.chunk_programs import ComputedChunk, FailedChunk
-from jaxbody.core.workers.dispatches import dispatched
-from jaxbody.core.workers.executors import Crew
+from jaxbody.core.workers.executors import Crew, dispatched
 
 
 class Scripted(Executor):

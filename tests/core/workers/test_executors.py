@@ -117,7 +117,7 @@ def test_a_worker_killed_at_a_random_moment_costs_nothing_twenty_times(alone):
 
 @pytest.mark.long
 def test_a_poisonous_chunk_is_recorded_and_its_neighbors_are_done(monkeypatch):
-    monkeypatch.setattr("jaxbody.core.workers.dispatches.compute_chunk", poisonous)
+    monkeypatch.setattr("jaxbody.core.workers.executors.compute_chunk", poisonous)
     masses = np.array([300.0, 310.0, POISON, 340.0, 350.0, 360.0, 370.0])
     with pytest.warns(
         jb.JaxbodyWarning, match="1 of 4 chunks failed three times, rows 2 to 4"
@@ -135,7 +135,7 @@ def test_a_poisonous_chunk_is_recorded_and_its_neighbors_are_done(monkeypatch):
 
 @pytest.mark.long
 def test_the_standard_pool_is_made_anew_when_it_breaks(monkeypatch):
-    monkeypatch.setattr("jaxbody.core.workers.dispatches.compute_chunk", poisonous)
+    monkeypatch.setattr("jaxbody.core.workers.executors.compute_chunk", poisonous)
     over = {"body.mass": np.array([300.0, 310.0, POISON, 340.0])}
     with (
         ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
@@ -349,7 +349,7 @@ def test_a_chunk_that_kills_each_worker_of_dask_is_recorded_and_its_neighbors_ar
     """Dask gives a chunk up after the first worker here (the fourth by default), and may blame
     another on the same worker. Whether nannies start workers again, which they seldom do not,
     is Dask's."""
-    monkeypatch.setattr("jaxbody.core.workers.dispatches.compute_chunk", poisonous)
+    monkeypatch.setattr("jaxbody.core.workers.executors.compute_chunk", poisonous)
     masses = np.array([300.0, 310.0, POISON, 340.0, 350.0, 360.0, 370.0, 380.0, 390.0])
     dask.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
     with (
