@@ -3,8 +3,7 @@
 from jaxbody.core.compilation.late_imports import late_names
 
 _NAMES = {
-    "record_files": ("read_record",),
+    "record_files": ("read_record", "read_responses"),
     "records": ("Record",),
-    "response_files": ("read_responses",),
 }
 __getattr__, __dir__, __all__ = late_names("jaxbody.records", _NAMES)

@@ -20,8 +20,7 @@ from jaxbody.fitting.experiments.measured_responses import (
     response_unit,
 )
 from jaxbody.records.format_readers import read_columns
-from jaxbody.records.record_files import agreed_unit
-from jaxbody.records.response_files import read_responses
+from jaxbody.records.record_files import agreed_unit, read_responses
 from jaxbody.vibration.ports import component_units
 
 
