@@ -64,6 +64,14 @@ class CompileTimes:
     # spans of time that are counted in `programs`, none of which lies in another
     counted: list[tuple[float, float]] = field(default_factory=list, repr=False)
 
+    def __enter__(self) -> CompileTimes:
+        _listen()
+        _listeners.append(self.heard)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        _listeners.remove(self.heard)
+
     @property
     def count(self) -> int:
         return sum(n for *_, n in self.programs.values())
@@ -133,8 +141,7 @@ def note_left_to_vmap(function: str, why: str) -> None:
     monitoring.record_event(LEFT, function=function, why=why)
 
 
-@contextmanager
-def compile_times() -> Iterator[CompileTimes]:
+def compile_times() -> CompileTimes:
     """Record all compilations by JAX inside a `with` block, of jaxbody's functions and all others;
     the record prints as a table.
 
@@ -147,13 +154,7 @@ def compile_times() -> Iterator[CompileTimes]:
     True
     >>> print(times)  # doctest: +SKIP
     """
-    record = CompileTimes()
-    _listen()
-    _listeners.append(record.heard)
-    try:
-        yield record
-    finally:
-        _listeners.remove(record.heard)
+    return CompileTimes()
 
 
 _listeners: list[Callable[..., None]] = []  # are called as listener(event, seconds, **data)
@@ -172,16 +173,6 @@ def _listen() -> None:
 
     monitoring.register_event_listener(heard)
     monitoring.register_event_duration_secs_listener(heard)
-    _listeners.append(_add_seconds)
-
-
-# {driver (see compile_options) that is being called: seconds that JAX has spent on its compilation}
-_called: dict[str, float] = {}
-
-
-def _add_seconds(event: str, seconds: float = 0.0, **data: str) -> None:
-    if event in PHASES and program(data) in _called:
-        _called[program(data)] += seconds
 
 
 class Compilations:
@@ -202,12 +193,9 @@ class Compilations:
 
         Warns SLOW_COMPILATION if it takes more than a minute; warns RECOMPILED, once, if the
         function is compiled again and again because one thing changes."""
-        _listen()
-        _called[self.program] = 0.0
-        try:
+        with CompileTimes() as times:
             yield
-        finally:
-            seconds = _called.pop(self.program, 0.0)
+        seconds = sum(times.programs.get(self.program, ())[:3])
         if seconds > LONG:
             remedy = (
                 "new numbers in the same shapes compile nothing, JAX keeps programs for later "

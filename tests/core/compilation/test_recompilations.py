@@ -1,6 +1,7 @@
 """One warning for a function that is compiled for every call, which names the changing argument,
 and one for a long compilation."""
 
+import time
 import warnings
 
 import jax
@@ -131,13 +132,16 @@ SECONDS = {
 
 
 @pytest.mark.parametrize("case", SECONDS)
-def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
+def test_a_compilation_of_more_than_a_minute_is_mentioned(case, monkeypatch):
     """JAX says how long it took to whoever listens; here it says so once more, with
-    other numbers."""
+    other numbers, each after the one before."""
     events, text = SECONDS[case]
+    late, real = [0.0], time.perf_counter
+    monkeypatch.setattr(time, "perf_counter", lambda: real() + sum(late))
 
     def doubled_slowly(x):
         for event, name, seconds in events:
+            late.append(seconds)
             jax.monitoring.record_event_duration_secs(COMPILING + event, seconds, fun_name=name)
         return 2 * x
 
