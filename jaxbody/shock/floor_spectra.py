@@ -34,7 +34,6 @@ from jaxbody.shock.spectrum_responses import (
     ModalExcitation,
     check_covered,
     checked_excitation,
-    checked_ratios,
     covered,
     modal_excitation,
 )
@@ -103,7 +102,13 @@ def floor_spectrum(
         )
         f = problems.gather(lambda: check_frequencies(frequencies, "floor_spectrum.frequencies"))
         zeta = check_dampings(damping, "floor_spectrum.damping", problems)
-        ratios = checked_ratios(modal_damping, lin, "floor_spectrum.modal_damping", problems)
+        ratios = (
+            None
+            if modal_damping is None
+            else check_dampings(
+                modal_damping, "floor_spectrum.modal_damping", problems, modes=lin.nv
+            )
+        )
         if ports.units and ports.units != ("m/s2",):
             problems.add(
                 "BAD_UNIT",

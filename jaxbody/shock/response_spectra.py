@@ -64,17 +64,20 @@ class ResponseSpectrum(tables.Printed, eqx.Module):
         return self(self.covers()[1], self.dampings()[0])
 
 
-def check_dampings(given: Any, where: str, problems: Problems) -> Any:
-    """Check one damping ratio or a row of them and return the array, None if it is not one.
-    Problems: NOT_A_FRACTION for ratios that are not from 0 to below 1, BAD_SHAPE."""
+def check_dampings(given: Any, where: str, problems: Problems, modes: int | None = None) -> Any:
+    """Check one damping ratio or a row of them, with `modes` one for each mode, and return the
+    array, None if it is not one. Problems: NOT_A_FRACTION for ratios that are not from 0 to below
+    1, BAD_SHAPE."""
     array = problems.gather(lambda: float_array(given, where))
     if array is not None:
         array = checked(
             array,
-            ((), (max(array.size, 1),)),
+            ((), (max(array.size, 1) if modes is None else modes,)),
             where,
             problems,
-            "Give one damping ratio, or several in one row.",
+            "Give one damping ratio, or several in one row."
+            if modes is None
+            else f"Give one for all modes or one for each of {modes}.",
         )
     if array is not None and is_concrete(array) and (wrong := (array < 0) | (array >= 1)).any():
         value = float(np.ravel(array)[np.flatnonzero(wrong)[0]])

@@ -50,7 +50,6 @@ from jaxbody.core.arrays import (
     Complex,
     Float,
     Int,
-    checked,
     device_array,
     is_concrete,
 )
@@ -63,7 +62,7 @@ from jaxbody.numerics.eigenproblems import together
 from jaxbody.numerics.elementary_functions import root
 from jaxbody.records.records import Record
 from jaxbody.shock.oscillators import checked_samples, poles
-from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum
+from jaxbody.shock.response_spectra import ROUNDING, ResponseSpectrum, check_dampings
 from jaxbody.shock.shock_spectra import peaks_of
 from jaxbody.vibration.linearizations import Linearization, check_system
 from jaxbody.vibration.natural_modes import NO_MODES, modes_of
@@ -383,7 +382,13 @@ def spectrum_response(
             lin, spectra, outputs, "spectrum_response", problems
         )
         check_one_of(combine, COMBINATIONS, "BAD_OPTION", "spectrum_response.combine", problems)
-        ratios = checked_ratios(modal_damping, lin, "spectrum_response.modal_damping", problems)
+        ratios = (
+            None
+            if modal_damping is None
+            else check_dampings(
+                modal_damping, "spectrum_response.modal_damping", problems, modes=lin.nv
+            )
+        )
         top = (
             None
             if highest is None
@@ -424,24 +429,6 @@ def checked_excitation(
             hint="Leave it out, or simulate the motion.",
         )
     return bases, ports, checked_spectra(bases, f"{where}.spectra", problems)
-
-
-def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
-    """Check damping ratios of modes, one for all or one for each, and return them; None if there
-    are none. Errors: BAD_SHAPE, NOT_A_FRACTION."""
-    n = lin.nv
-    hint = f"Give one for all modes or one for each of {n}."
-    array = None if given is None else checked(given, ((), (n,)), where, problems, hint)
-    if array is not None and is_concrete(array) and ((array < 0) | (array >= 1)).any():
-        problems.add(
-            "NOT_A_FRACTION",
-            where,
-            f"is {array}",
-            value=array,
-            limit="0 to below 1",
-            hint="Give 0.05 for 5 percent.",
-        )
-    return array
 
 
 def checked_spectra(bases: list[Excitation], where: str, problems: Problems) -> tuple[Any, ...]:
