@@ -43,11 +43,7 @@ def read(
 
 def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:
     """Return the readings of each sensor along a trajectory, after its signal chain."""
-    return _transduced(sensors, trajectory.times, trajectory.at_samples(_read, sensors, loads=True))
-
-
-def _read(model, motions, t, state, loads, sensors):
-    return read(model, motions, t, state, sensors, loads)
+    return _transduced(sensors, trajectory.times, trajectory.at_samples(read, sensors, loads=True))
 
 
 @program_with(OPTIMIZED)

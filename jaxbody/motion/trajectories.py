@@ -92,7 +92,7 @@ class Trajectory(Labeled, Result):
     @property
     def elongations(self) -> dict[str, Array]:
         """{element: elongation (nt,), tension positive}; for a bushing its deformations (nt, 6)."""
-        return self._of_elements(_deformations)
+        return self._of_elements(_of_each, "deformation")
 
     @property
     def forces(self) -> dict[str, Array]:
@@ -101,7 +101,7 @@ class Trajectory(Labeled, Result):
         return (
             self._of_elements(_forces_with_inertia, loads=True)
             if inertial_tables(self.model)
-            else self._of_elements(_forces)
+            else self._of_elements(_of_each, "force")
         )
 
     @property
@@ -114,7 +114,7 @@ class Trajectory(Labeled, Result):
     def lost_powers(self) -> dict[str, Array]:
         """{element: power that it dissipates, dR/de_dot . e_dot [W] (nt,)}."""
         names = [table.names for table in self.model.elements]
-        return by_name(names, self.at_samples(_lost_powers), axis=self.times.ndim)
+        return by_name(names, self.at_samples(_of_each, "lost_power"), axis=self.times.ndim)
 
     @property
     def powers(self) -> dict[str, Array]:
@@ -149,12 +149,13 @@ class Trajectory(Labeled, Result):
             return {}
         return by_closure(self.model, self.at_samples(_closure_reactions, loads=True))
 
-    def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
-        return of_elements(self.model, self.at_samples(function, loads=loads), axis=self.times.ndim)
+    def _of_elements(self, function: Callable, *more: Any, loads: bool = False) -> dict[str, Array]:
+        values = self.at_samples(function, *more, loads=loads)
+        return of_elements(self.model, values, axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
         """Return function(model, motions, t, state, *more) at every sample, with `loads`
-        function(model, motions, t, state, loads, *more). Leading axes of a batch are kept, and each
+        function(model, motions, t, state, *more, loads). Leading axes of a batch are kept, and each
         function is compiled once."""
         return _evaluate(
             function,
@@ -342,27 +343,19 @@ def _frames(model, motions, t, state) -> Pose:
     return frames_at_time(model, motions, t, state).pose()
 
 
-def _deformations(model, motions, t, state):
-    return tuple(
-        each_element(
-            model,
-            frames_at_time(model, motions, t, state),
-            lambda s, *F: s.deformation(*(f.pose() for f in F)),
-        )
-    )
-
-
-def _forces(model, motions, t, state):
-    return tuple(
-        each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F))
-    )
+def _of_each(model, motions, t, state, quantity: str):
+    """Return what a method of the elements gives for their frames, of each kind of them."""
+    frames = frames_at_time(model, motions, t, state)
+    return tuple(each_element(model, frames, lambda s, *F: getattr(s, quantity)(*F)))
 
 
 def _forces_with_inertia(model, motions, t, state, loads):
     """Return the forces of the elements, including those of their inertia at the accelerations of
     the motion."""
     now, forces = dynamics_of(model, motions, loads).accelerated(t, state), []
-    for table, force in zip(model.elements, _forces(model, motions, t, state), strict=True):
+    for table, force in zip(
+        model.elements, _of_each(model, motions, t, state, "force"), strict=True
+    ):
         inertia = (
             accelerated(model, now, table, lambda s, *F: s.inertial_force(*F))
             if table.rows.has_inertia()
@@ -379,14 +372,6 @@ def _energies(model, motions, t, state):
 
 def _beyond_laws(model, motions, t, state):
     return outside_law_range(model, frames_at_time(model, motions, t, state))
-
-
-def _lost_powers(model, motions, t, state):
-    return tuple(
-        each_element(
-            model, frames_at_time(model, motions, t, state), lambda s, *F: s.lost_power(*F)
-        )
-    )
 
 
 def _reactions(model, motions, t, state, loads):
@@ -427,7 +412,7 @@ def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times,
 
     def one(numbers, t, state, others):
         model, motions, loads = combine(numbers, rest)
-        return function(holding(model, state.z), motions, t, state, *loads, *combine(others, fixed))
+        return function(holding(model, state.z), motions, t, state, *combine(others, fixed), *loads)
 
     over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
     for _ in range(batch_axes):

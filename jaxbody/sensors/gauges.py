@@ -14,6 +14,7 @@ from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.points_and_orientations import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
+from jaxbody.model.elements.elements import length_and_direction
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, pose_at_reference
 from jaxbody.sensors.sensors import Chain, Sensor
@@ -103,7 +104,7 @@ class StringPotentiometer(Gauge):
 
     def reading(self, model, frames):
         A, B = self.ends_of(model, frames)
-        return _length(B.point(self.b) - A.point(self.a))
+        return length_and_direction(B.point(self.b) - A.point(self.a))[0]
 
     def problem(self, model, where):
         if (problem := super().problem(model, where)) is not None:
@@ -127,12 +128,6 @@ class StringPotentiometer(Gauge):
                 "Move one of its points.",
             )
         )
-
-
-def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
-    square = dot(d, d)
-    long = square > 1e-80
-    return jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
 
 
 class LaserLine(Sensor):

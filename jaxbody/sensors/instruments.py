@@ -466,6 +466,7 @@ class Attitude(Sensor):
     to the reading, in world axes. `bias` also has a rotation vector in its place, which rotates
     the reading."""
 
+    on: str = eqx.field(static=True, converter=plain)
     places: ClassVar[int] = 0
     stages = {"bias": "0.0", "delay": "0.0"}  # noqa: RUF012
 
@@ -539,7 +540,6 @@ class BodyPose(Attitude):
     ((7,), (6,))
     """
 
-    on: str = eqx.field(static=True, converter=plain)
     places = 3
     unit = "m, rad"
     parts = ("position", "orientation")
@@ -562,7 +562,6 @@ class Orientation(Attitude):
     ((4,), (3,))
     """
 
-    on: str = eqx.field(static=True, converter=plain)
     orientation: Float[Array, "4"] = field("", "rotation")
     unit = "rad"
 
