@@ -49,13 +49,13 @@ def frame_of_table(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Any
     for i, head in enumerate(columns, start=1):
         name, _, unit = head.removesuffix("]").partition(" [")
         units[name if name and name not in units else f"column {i}"] = unit
-    frame = pandas.DataFrame([tuple(map(_cell, row)) for row in rows], columns=list(units))
+    cells = [
+        [value if isinstance(value, str) else np.asarray(value)[()] for value in row]
+        for row in rows
+    ]
+    frame = pandas.DataFrame(cells, columns=list(units))
     frame.attrs["units"] = units
     return frame
-
-
-def _cell(value: Any) -> Any:
-    return value if isinstance(value, str) else np.asarray(value)[()]
 
 
 def frame_of(data: Any, over: str, where: str) -> Any:

@@ -115,7 +115,7 @@ def read_text(
                 line,
                 "names or numbers",
                 (
-                    _thousands(_cells(line, separator))
+                    _not_plain(_cells(line, separator))
                     or f"If it is neither names nor numbers, give skip={i}."
                 ),
             )
@@ -190,30 +190,22 @@ def _pointed(cell: str, decimal: str) -> str:
     return cell if decimal == "." else cell.replace(".", "?").replace(decimal, ".")
 
 
-def _thousands(cells: list[str]) -> str:
-    """Return the hint for a number with thousands separators; "" if there is none."""
-    cell = next(
-        (cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None
-    )
-    return (
-        ""
-        if cell is None
-        else (
-            f"{cell!r} has thousands separators, or quotes around them: write numbers without them."
-        )
-    )
-
-
-def _dated(cells: list[str]) -> str:
-    """Return the hint for a date or a time of day; "" if there is none."""
-    cell = next((cell for cell in cells if DATE.fullmatch(cell)), None)
-    return (
-        ""
-        if cell is None
-        else f"'{cell:.30}' is a date or a time of day: write seconds in its place, or give "
-        "jb.Record the columns that pandas.read_csv(..., parse_dates=) reads, with "
-        "(t - t[0]).dt.total_seconds()."
-    )
+def _not_plain(cells: list[str]) -> str:
+    """Return the hint for a number with thousands separators, or for a date or a time of day; "" if
+    there is none."""
+    for cell in cells:
+        if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell):
+            return (
+                f"{cell!r} has thousands separators, or quotes around them: write numbers without "
+                "them."
+            )
+        if DATE.fullmatch(cell):
+            return (
+                f"'{cell:.30}' is a date or a time of day: write seconds in its place, or give "
+                "jb.Record the columns that pandas.read_csv(..., parse_dates=) reads, with "
+                "(t - t[0]).dt.total_seconds()."
+            )
+    return ""
 
 
 def _no_numbers(
@@ -225,7 +217,7 @@ def _no_numbers(
         f"decimal '{decimal}', below a line of names."
     )
     cells = [_cells(row, separator or _separator(row)) for _, row in lines[:LONGEST_PREAMBLE]]
-    hint = next((text for row in cells if (text := _thousands(row) or _dated(row))), hint)
+    hint = next((text for row in cells if (text := _not_plain(row))), hint)
     return JaxbodyError(
         Problem(
             "NO_NUMBERS",
@@ -330,8 +322,7 @@ def numbers_of(
                     value=wrong[0],
                     limit="numbers",
                     hint=(
-                        _thousands(wrong)
-                        or _dated(wrong)
+                        _not_plain(wrong)
                         or f"{hint} it means a missing sample, leave the cell empty or write nan."
                     ),
                 )

@@ -194,7 +194,13 @@ def _processes(number: int, where: str) -> Executor:
     """Start processes of this machine, one thread each. Later calls use the same ones, with their
     programs, until they have been idle for a while."""
     loky = import_extra("loky", where)
-    environment = dict.fromkeys(ONE_THREAD, "1") | _cache()
+    # in which processes share compiled programs
+    folder = jax.config.jax_compilation_cache_dir or _temporary_folder().name  # pyright: ignore[reportAttributeAccessIssue]
+    environment = dict.fromkeys(ONE_THREAD, "1") | {
+        "JAX_COMPILATION_CACHE_DIR": str(folder),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
     executor = loky.get_reusable_executor(
         max_workers=number,
         timeout=IDLE,
@@ -210,17 +216,6 @@ def _processes(number: int, where: str) -> Executor:
 def _close_processes(executor: Any, at_once: bool) -> None:
     if at_once:
         executor.shutdown(wait=True, kill_workers=True)
-
-
-def _cache() -> dict[str, str]:
-    """Return the variables that name the folder in which processes share compiled programs: that of
-    JAX or `keep_programs`, if any, or a temporary one."""
-    folder = jax.config.jax_compilation_cache_dir or _temporary_folder().name  # pyright: ignore[reportAttributeAccessIssue]
-    return {
-        "JAX_COMPILATION_CACHE_DIR": str(folder),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
 
 
 @functools.cache
