@@ -24,7 +24,7 @@ NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # byte
 TEXT = {16: 1, 17: 2, 18: 4}
 MATRIX, COMPRESSED = 14, 15
 KNOWN = {*NUMBERS, *TEXT, MATRIX, COMPRESSED}
-CELL, STRUCT, OBJECT, CHARS, SPARSE, DEEPEST = 1, 2, 3, 4, 5, 20
+CELL, STRUCT, OBJECT, CHARS, DEEPEST = 1, 2, 3, 4, 20
 ELEMENT = 16  # memory of an element without its data (object, name, shape), in units of 8 bytes
 
 
@@ -81,8 +81,10 @@ def read_matlab(
 def check(data: bytes, name: str, largest: float) -> None:
     """Raise ValueError unless all elements of the file are complete and of the right type. Error:
     TOO_LARGE if all numbers together exceed the limit."""
-    if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
-        raise ValueError("no header of a MATLAB file of version 5 to 7")
+    _require(
+        len(data) >= 136 and data[126:128] in (b"IM", b"MI"),
+        "no header of a MATLAB file of version 5 to 7",
+    )
     order = "<" if data[126:128] == b"IM" else ">"
     count, elements = 0, _elements(data[128:], order, name, largest)
     for kind, content in elements:
@@ -90,13 +92,18 @@ def check(data: bytes, name: str, largest: float) -> None:
             unpacked = zlib.decompressobj()
             content = unpacked.decompress(content, int(min(largest, 2**40)) + 1)
             check_size(name, len(content), largest, "bytes or more in a compressed array")
-            if unpacked.unconsumed_tail or not unpacked.eof:
-                raise ValueError("a compressed array is incomplete")
+            _require(
+                unpacked.eof and not unpacked.unconsumed_tail, "a compressed array is incomplete"
+            )
             ((kind, content),) = _elements(content, order, name, largest)
-        if kind != MATRIX:
-            raise ValueError(f"an element is of type {kind} instead of an array")
+        _require(kind == MATRIX, f"an element is of type {kind} instead of an array")
         count += _check_matrix(content, order, 0, name, largest)
         check_numbers(name, count, largest)
+
+
+def _require(good: bool, problem: str) -> None:
+    if not good:
+        raise ValueError(problem)
 
 
 def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[int, bytes]]:
@@ -104,19 +111,15 @@ def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[
     elements, at = [], 0
     while at < len(data):
         check_numbers(name, ELEMENT * len(elements), largest)
-        if at + 8 > len(data):
-            raise ValueError("the file ends within a tag")
+        _require(at + 8 <= len(data), "the file ends within a tag")
         kind, size = struct.unpack_from(order + "II", data, at)
         if kind >> 16:  # a small element: its size in the upper half, its data in the tag
             kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 8
-            if size > 4:
-                raise ValueError(f"a small element has {size} bytes, more than 4")
+            _require(size <= 4, f"a small element has {size} bytes, more than 4")
         else:
             start, step = at + 8, 8 + (size if kind == COMPRESSED else -(-size // 8) * 8)
-        if kind not in KNOWN:
-            raise ValueError(f"an element is of the unknown type {kind}")
-        if start + size > len(data):
-            raise ValueError("the file ends within an element")
+        _require(kind in KNOWN, f"an element is of the unknown type {kind}")
+        _require(start + size <= len(data), "the file ends within an element")
         elements.append((kind, data[start : start + size]))
         at += step
     return elements
@@ -127,12 +130,13 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
     units of 8 bytes."""
     if not content:
         return ELEMENT  # an empty cell
-    if depth > DEEPEST:
-        raise ValueError("arrays are nested too deeply")
+    _require(depth <= DEEPEST, "arrays are nested too deeply")
     parts = _elements(content, order, name, largest)
     kinds = [kind for kind, _ in parts]
-    if len(parts) < 3 or kinds[:3] != [6, 5, 1] or len(parts[0][1]) != 8:
-        raise ValueError("an array lacks flags, dimensions or name")
+    _require(
+        kinds[:3] == [6, 5, 1] and len(parts[0][1]) == 8,
+        "an array lacks flags, dimensions or name",
+    )
     flags = struct.unpack(order + "I", parts[0][1][:4])[0]
     kind, is_complex = flags & 0xFF, bool(flags & 0x800)
     count = math.prod(np.frombuffer(parts[1][1], order + "i4").tolist())
@@ -143,15 +147,19 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
         if names:
             width = struct.unpack(order + "i", parts[2 + names - 1][1].ljust(4, b"\0")[:4])[0]
             fields = len(parts[2 + names][1]) // width if width > 0 else 0
-        if len(inner) != count * fields or {k for k, _ in inner} - {MATRIX}:
-            raise ValueError("a struct or cell lacks some of its parts")
+        _require(
+            len(inner) == count * fields and {k for k, _ in inner} <= {MATRIX},
+            "a struct or cell lacks some of its parts",
+        )
         return ELEMENT + sum(
             _check_matrix(matrix, order, depth + 1, name, largest) for _, matrix in inner
         )
     elif kind in (CHARS, *range(6, 16)):
         allowed = NUMBERS | TEXT if kind == CHARS else NUMBERS
-        if len(parts) != 4 + is_complex or not set(kinds[3:]) <= set(allowed):
-            raise ValueError("an array lacks its numbers")
+        _require(
+            len(parts) == 4 + is_complex and set(kinds[3:]) <= set(allowed),
+            "an array lacks its numbers",
+        )
         return ELEMENT + sum(len(part) // allowed[kind] for kind, part in parts[3:])
     else:
         what = {16: "a function handle", 17: "a table, timetable, datetime or string"}.get(
