@@ -22,23 +22,21 @@ from jax.dtypes import float0
 
 from jaxbody.core.arrays import Array
 from jaxbody.core.compilation.compilations import note_left_to_vmap
-from jaxbody.core.compilation.dependencies import (
-    CALLS,
-    fixpoint,
-    parts_of_scan,
-    reach,
-    reach_of,
-    reach_of_while,
-)
 from jaxbody.core.jax_internals import (
+    CALLS,
     ClosedJaxpr,  # pyright: ignore[reportPrivateImportUsage]
     Literal,
     Zero,
     call_of,
     chosen,
+    fixpoint,
     jaxpr_as_fun,
     merged,
     only_what_is_needed,
+    parts_of_scan,
+    reach,
+    reach_of,
+    reach_of_while,
     same_operation,
     without_high_operations,
 )

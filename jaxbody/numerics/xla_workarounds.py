@@ -83,7 +83,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -149,17 +148,16 @@ def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]
     consecutive rows, else by a padded gather."""
     if all(len(rows) == 1 for rows in groups):
         return x[np.concatenate(groups)]
-    runs = [_runs(rows) for rows in groups]
+    # of consecutive rows
+    runs = [
+        np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if len(rows) else []
+        for rows in groups
+    ]
     if sum(map(len, runs)) <= FEW_RUNS:
         return lax.concatenate([_sum_of_runs(x, group) for group in runs], 0)
     most = max(len(rows) for rows in groups)
     padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
     return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)
-
-
-def _runs(rows: Any) -> list[np.ndarray]:
-    """Return rows as runs of consecutive ones."""
-    return np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if len(rows) else []
 
 
 def _sum_of_runs(x: Float[Array, "m k"], runs: list[np.ndarray]) -> Float[Array, "1 k"]:
