@@ -242,12 +242,10 @@ def parse(text: str, where: str) -> Unit:
         return Unit(written, *PLAIN[written])
     tokens = TOKEN.finditer(written.translate(SUPERSCRIPTS))
     rest = [(str(match.lastgroup), match.group().strip()) for match in tokens]
-    if len(written) > 60 or "other" in dict(rest):
-        raise _unknown(written, written, where)
+    _require(len(written) <= 60 and "other" not in dict(rest), written, written, where)
     rest.append(("end", ""))
     factor, dimension = _product(rest, written, where)
-    if rest[0][0] != "end":
-        raise _unknown(written, written, where)
+    _require(rest[0][0] == "end", written, written, where)
     return Unit(written, factor, dimension)
 
 
@@ -302,34 +300,32 @@ def _power(
     power = 1
     if token == "(" and depth < 5:
         factor, dimension = _product(rest, written, where, depth + 1)
-        if rest.pop(0)[1] != ")":
-            raise _unknown(written, written, where)
+        _require(rest.pop(0)[1] == ")", written, written, where)
     elif (kind, token) == ("number", "1"):
         factor, dimension = 1.0, NONE
-    elif kind == "word":
+    else:
+        _require(kind == "word", written, written, where)
         name, power = (
             (token[:-1], int(token[-1]))
             if token[-1].isdigit() and token not in ALSO
             else (token, 1)
         )
         name = name if name in KNOWN else ALSO.get(name.lower(), name)
-        if name not in KNOWN:
-            raise _unknown(name, written, where)
+        _require(name in KNOWN, name, written, where)
         factor, dimension = KNOWN[name]
-    else:
-        raise _unknown(written, written, where)
     if rest[0][0] == "power":
         rest.pop(0)
-        if rest[0][0] != "number":
-            raise _unknown(written, written, where)
+        _require(rest[0][0] == "number", written, written, where)
     if rest[0][0] == "number":
         power = int(rest.pop(0)[1])
-    if not 1 <= abs(power) <= 6:
-        raise _unknown(written, written, where)
+    _require(1 <= abs(power) <= 6, written, written, where)
     return factor**power, tuple(power * n for n in dimension)  # pyright: ignore[reportReturnType]
 
 
-def _unknown(name: str, written: str, where: str) -> JaxbodyError:
+def _require(good: bool, name: str, written: str, where: str) -> None:
+    """Raise UNKNOWN_UNIT, with the nearest names, unless a unit is `good`."""
+    if good:
+        return
     near = [known for known in KNOWN if known.lower() == name.lower()]
     near = near or difflib.get_close_matches(name, KNOWN, 3, 0.6)
     hint = (
@@ -340,7 +336,7 @@ def _unknown(name: str, written: str, where: str) -> JaxbodyError:
         else "Convert the numbers first."
     )
     message = f"unit '{written:.60}' is unknown" + (f": '{name}'" if name != written else "")
-    return JaxbodyError(
+    raise JaxbodyError(
         Problem(
             "UNKNOWN_UNIT",
             where,
