@@ -22,8 +22,7 @@ from jaxbody.core.arrays import Array, Float, PRNGKeyArray
 from jaxbody.core.compilation.compile_options import jit
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.fitting.fit_results import Fit
-from jaxbody.fitting.intervals import widening
+from jaxbody.fitting.fit_results import Fit, widening
 from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 from jaxbody.model.models import Model
 

@@ -30,8 +30,7 @@ from jaxbody.core.workers.chunk_programs import ChunkProgram
 from jaxbody.core.workers.chunk_stores import hash_of
 from jaxbody.core.workers.executors import crew_of
 from jaxbody.fitting.experiments.measurements import records_of
-from jaxbody.fitting.fit_results import Fit
-from jaxbody.fitting.intervals import interval_of_u
+from jaxbody.fitting.fit_results import Fit, interval_of_u
 from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.searches import solve
 from jaxbody.fitting.statistics.noises import ResidualSeries

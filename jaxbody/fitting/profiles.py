@@ -20,8 +20,7 @@ from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.fitting.fit_results import Fit
-from jaxbody.fitting.intervals import widening
+from jaxbody.fitting.fit_results import Fit, widening
 from jaxbody.fitting.parameters.transforms import Elementwise
 from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.searches import AT_BOUND, Evaluations, by_scipy

@@ -25,14 +25,10 @@ from jaxbody.motion.trajectories import Trajectory
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.vibration.linearizations import LinearSystem
 from jaxbody.vibration.natural_modes import ModalResult
-from jaxbody.views.browser_pages import page_of
-from jaxbody.views.live_views import LiveView, Vibration
-from jaxbody.views.picture_files import save_gif, save_mp4, save_png
-from jaxbody.views.scenes.animations import Animation
-from jaxbody.views.scenes.cameras import Camera, camera_for
-from jaxbody.views.scenes.drawn_frames import Painter
-from jaxbody.views.scenes.pose_sequences import along, over_travel, still, vibrating
-from jaxbody.views.scenes.poses import PoseSequence
+from jaxbody.views.browser_pages import LiveView, Vibration, page_of
+from jaxbody.views.scenes.animations import Animation, Camera, camera_for
+from jaxbody.views.scenes.drawn_frames import Painter, save_gif, save_mp4, save_png
+from jaxbody.views.scenes.poses import PoseSequence, along, over_travel, still, vibrating
 from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
 from jaxbody.views.scenes.shapes import Shape
 

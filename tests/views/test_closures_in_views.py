@@ -6,7 +6,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.model.models import drawn_reference
-from jaxbody.views.scenes.pose_sequences import CYCLE, still
+from jaxbody.views.scenes.poses import CYCLE, still
 from jaxbody.views.scenes.scenes import animation_of
 
 BAR = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])

@@ -6,7 +6,7 @@ import trimesh
 from test_views import plate
 
 import jaxbody as jb
-from jaxbody.views.scenes import meshes
+from jaxbody.views.scenes import shapes
 
 
 def as_trimesh(mesh):
@@ -16,16 +16,16 @@ def as_trimesh(mesh):
 @pytest.mark.parametrize(
     "mesh, volume, tolerance",
     [
-        (meshes.box([1.0, 2.0, 3.0]), 6.0, 1e-12),
+        (shapes.box([1.0, 2.0, 3.0]), 6.0, 1e-12),
         (
-            meshes.hull(np.random.default_rng(3).permutation(meshes.box([1.0, 2.0, 3.0]).vertices)),
+            shapes.hull(np.random.default_rng(3).permutation(shapes.box([1.0, 2.0, 3.0]).vertices)),
             6.0,
             1e-6,
         ),
-        (meshes.cylinder(0.5, -1.0, 1.0, sides=200), np.pi / 2, 1e-3),
-        (meshes.sphere(0.5, sides=100), np.pi / 6, 3e-3),
-        (meshes.ring(0.3, 0.5, 0.0, 2.0), 2 * np.pi * (0.25 - 0.09), 0.02),
-        (meshes.wire(np.linspace([0, 0, 0], [0, 0, 2], 5), 0.1, sides=100), 0.02 * np.pi, 1e-3),
+        (shapes.cylinder(0.5, -1.0, 1.0, sides=200), np.pi / 2, 1e-3),
+        (shapes.sphere(0.5, sides=100), np.pi / 6, 3e-3),
+        (shapes.ring(0.3, 0.5, 0.0, 2.0), 2 * np.pi * (0.25 - 0.09), 0.02),
+        (shapes.wire(np.linspace([0, 0, 0], [0, 0, 2], 5), 0.1, sides=100), 0.02 * np.pi, 1e-3),
     ],
     ids=["box", "hull", "cylinder", "sphere", "ring", "wire"],
 )
@@ -36,9 +36,9 @@ def test_solids_have_their_volume_and_faces_that_look_outwards(mesh, volume, tol
 
 
 def test_a_coil_reaches_from_0_to_1_and_its_wire_is_as_long_as_a_helix():
-    coil = meshes.coil(radius=0.1, thickness=0.01, length=0.8, turns=6)
+    coil = shapes.coil(radius=0.1, thickness=0.01, length=0.8, turns=6)
     assert (coil.vertices[:, 2].min(), coil.vertices[:, 2].max()) == (0.0, 1.0)
-    stretched = meshes.Mesh(coil.vertices * [1, 1, 0.8], coil.faces)
+    stretched = shapes.Mesh(coil.vertices * [1, 1, 0.8], coil.faces)
     a, b, c = np.moveaxis(stretched.vertices[stretched.faces], 1, 0)
     length = np.sum(a * np.cross(b, c)) / 6 / (np.pi * 0.01**2)
     # five full turns; half a turn at each end goes to the axis
@@ -49,9 +49,9 @@ def test_a_coil_reaches_from_0_to_1_and_its_wire_is_as_long_as_a_helix():
 @pytest.mark.parametrize(
     "mesh, count",
     [
-        (meshes.box([1, 1, 1]), 12),
-        (meshes.cylinder(1.0, sides=24), 48),
-        (meshes.sphere(1.0, 24), 0),
+        (shapes.box([1, 1, 1]), 12),
+        (shapes.cylinder(1.0, sides=24), 48),
+        (shapes.sphere(1.0, 24), 0),
     ],
 )
 def test_only_sharp_edges_are_drawn(mesh, count):

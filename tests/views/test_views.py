@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay
 
 import jaxbody as jb
 from jaxbody.views.scenes.colors import COLORS
-from jaxbody.views.scenes.pose_sequences import still
+from jaxbody.views.scenes.poses import still
 from jaxbody.views.scenes.scenes import animation_of
 
 PRESETS = [

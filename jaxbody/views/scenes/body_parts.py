@@ -12,11 +12,21 @@ from jaxbody.model.layouts import WORLD
 from jaxbody.model.storage import KindTable
 from jaxbody.views.scenes.animations import DrawnPart, NameLabel
 from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
-from jaxbody.views.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
-from jaxbody.views.scenes.pose_sequences import marks, places_of
-from jaxbody.views.scenes.poses import PoseSequence, attaching, named_rows
+from jaxbody.views.scenes.poses import PoseSequence, attaching, marks, named_rows, places_of
 from jaxbody.views.scenes.road_parts import hub_of
-from jaxbody.views.scenes.shapes import THICK, Shape, axes_along, solid_of_body
+from jaxbody.views.scenes.shapes import (
+    THICK,
+    Mesh,
+    Shape,
+    axes_along,
+    box,
+    cylinder,
+    hull,
+    joined,
+    ribbon,
+    solid_of_body,
+    sphere,
+)
 
 FLAT = 1e-6  # largest extent of a flat model, relative to its size
 # radius of the ends of elements and of a center of mass, relative to the size of the model

@@ -7,9 +7,8 @@ from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.inputs.roads import Road
 from jaxbody.views.scenes.animations import DrawnPart
 from jaxbody.views.scenes.colors import INK, LIGHT
-from jaxbody.views.scenes.meshes import Mesh, cylinder, joined, ribbon, slab, tyre
 from jaxbody.views.scenes.poses import PoseSequence, named_rows
-from jaxbody.views.scenes.shapes import axes_along
+from jaxbody.views.scenes.shapes import Mesh, axes_along, cylinder, joined, ribbon, slab, tyre
 
 WIDTH, RIM = 0.62, 0.66  # width of a tyre, and radius of its rim, over the radius of the tyre
 HOLES = 5

@@ -16,14 +16,17 @@ from jaxbody.views.scenes.body_parts import (
     parts_of_supports,
     up_of,
 )
-from jaxbody.views.scenes.closure_parts import is_link, parts_of_closures
 from jaxbody.views.scenes.colors import COLORS, GRAY
-from jaxbody.views.scenes.element_parts import parts_of_elements
-from jaxbody.views.scenes.meshes import arrow
-from jaxbody.views.scenes.pose_sequences import marks, size_of_sequence
-from jaxbody.views.scenes.poses import PoseSequence, named_rows, placed_closures
+from jaxbody.views.scenes.element_parts import is_link, parts_of_closures, parts_of_elements
+from jaxbody.views.scenes.poses import (
+    PoseSequence,
+    marks,
+    named_rows,
+    placed_closures,
+    size_of_sequence,
+)
 from jaxbody.views.scenes.road_parts import parts_of_roads, parts_of_wheel
-from jaxbody.views.scenes.shapes import Shape
+from jaxbody.views.scenes.shapes import Shape, arrow
 
 SOLID = 0.82  # opacity of a body
 LONGEST = 0.22  # length of the longest arrow, relative to the size of the model

@@ -10,7 +10,7 @@ from scipy.optimize import brentq, root
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest, t
 
-from jaxbody.fitting.intervals import interval_of_u
+from jaxbody.fitting.fit_results import interval_of_u
 from jaxbody.fitting.statistics.autocorrelations import (
     Autoregression,
     autocovariances,

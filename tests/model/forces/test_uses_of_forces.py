@@ -8,7 +8,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.app.commands import main
-from jaxbody.views.scenes.pose_sequences import still
+from jaxbody.views.scenes.poses import still
 from jaxbody.views.scenes.scenes import animation_of
 
 M, K, C, Q = 4.0, 900.0, 6.0, 120.0  # of a shaft with a seal

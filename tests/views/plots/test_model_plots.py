@@ -13,9 +13,8 @@ from test_plots import nothing_else_is_touched  # noqa: F401
 
 import jaxbody as jb
 from jaxbody import plots
-from jaxbody.views.scenes.closure_parts import ROD
 from jaxbody.views.scenes.colors import GRAY, INK
-from jaxbody.views.scenes.element_parts import STEEL
+from jaxbody.views.scenes.element_parts import ROD, STEEL
 
 CORNERS = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}
 
