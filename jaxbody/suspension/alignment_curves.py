@@ -167,7 +167,6 @@ def suspension_curves(
     drive: Mapping[str, Any],
     over: Mapping[str, Any],
     wheel: Wheel,
-    steer: str | None = None,
     equilibrium: bool = False,
     loads: dict[str, Load] | None = None,
 ) -> SuspensionCurves:
@@ -190,13 +189,12 @@ def suspension_curves(
     Args:
         model: a model with closures, x forward, y to the left, z up; its supports are at rest
         drive: {name: sensor of one number, such as Position("upright", point, axis="z"), or
-            "rack.q", or a wheel for the rise of its center}, the travel first
+            "rack.q", or a wheel for the rise of its center}, the travel first, the one that steers
+            second. Where the wheel has no kingpin, its steering axis is the screw axis of the
+            motion by this drive, with the others held
         over: {name: values}, changes from the assembled reference [m or rad]; a single number keeps
             a reading constant
         wheel: the wheel
-        steer: the name of the drive that steers; None: the second one. Where the wheel has no
-            kingpin, its steering axis is the screw axis of the motion by this drive, with the
-            others held
         equilibrium: whether the coordinates that closures and readings leave free are in
             equilibrium, as in a model with bushings (`jb.suspension.compliant`)
         loads: {name: load} of this equilibrium, such as a side force at the wheel; by default none
@@ -243,9 +241,7 @@ def suspension_curves(
     >>> jnp.round(curves["wheel y"], 9).tolist(), jnp.round(jnp.abs(curves["camber"]), 9).tolist()
     ([0.75, 0.67], [0.0, 0.0])
     """
-    arguments = arguments_of(
-        model, drive, over, wheel, steer, "suspension_curves", resting=equilibrium
-    )
+    arguments = arguments_of(model, drive, over, wheel, "suspension_curves", resting=equilibrium)
     with Problems() as problems:
         acting = loads_of(loads, model.layout.bodies, "suspension_curves.loads")
         if acting and not equilibrium:
@@ -273,7 +269,7 @@ def curve_names(
 ) -> tuple[str, ...]:
     """Return the names of the curves of a model, without computing the curves. Errors: those of
     `suspension_curves`."""
-    arguments = arguments_of(model, drive, over, wheel, None, where)
+    arguments = arguments_of(model, drive, over, wheel, where)
     return tuple(jax.eval_shape(lambda: _curves(*arguments).curves))
 
 
@@ -282,24 +278,20 @@ def arguments_of(
     drive: Mapping[str, Any],
     over: Mapping[str, Any],
     wheel: Wheel,
-    steer: str | None,
     where: str,
     resting: bool = False,
 ):
-    """Return the arguments of `suspension_curves` after checks: model, drives, targets, wheel, name
-    of the drive that steers. `resting`: whether the free coordinates are in equilibrium."""
+    """Return the arguments of `suspension_curves` after checks: model, drives, targets, wheel.
+    `resting`: whether the free coordinates are in equilibrium."""
     check_precision(where, model)
     check_potential(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
     check_known(wheel.on, f"{where}.wheel.on", frames)
     targets = _targets(drives, over, where)
-    steering = steer if steer is not None else (drives[1].name if len(drives) > 1 else None)
-    if steering is not None:
-        check_known(steering, f"{where}.steer", drive)
     if is_concrete(model):
         _check_determined(model, drives, wheel, where, resting)
-    return model, drives, targets, wheel, steering
+    return model, drives, targets, wheel
 
 
 def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> Any:
@@ -404,7 +396,6 @@ def _curves(
     drives: tuple[Drive, ...],
     targets: Float[Array, "n nd"],
     wheel: Wheel,
-    steer: str | None,
     loads: tuple[Load, ...] | None = None,
 ) -> SuspensionCurves:
     """Compute the curves; `loads` are those of an equilibrium, None if there is none."""
@@ -412,7 +403,6 @@ def _curves(
     targets = targets.astype(start.dtype)
     zero, row = readings(model, drives, start), model.layout.frame(wheel.on)
     side = wheel.side(Coordinates(model).at_rest(start)[row].pose())
-    steering = None if steer is None else names.index(steer)
     fixed, driven, goals, begin = jax.lax.stop_gradient(
         (model, drives, targets + zero[None], start)
     )
@@ -432,7 +422,7 @@ def _curves(
 
         def read(x: Array):
             slopes, (values, q) = jax.jacfwd(with_value(placed), has_aux=True)(x)
-            return _read(wheel, side, steering, values, slopes[0], model), q
+            return _read(wheel, side, values, slopes[0], model), q
 
         (slopes, _), (values, q) = jax.jacfwd(with_value(read), has_aux=True)(x)
         return values, slopes, q
@@ -474,9 +464,7 @@ def _placed(model: Model, q: Float[Array, "nq"], row: int):
     )
 
 
-def _read(
-    wheel: Wheel, side: Array, steer: int | None, placed: Any, slopes: Any, model: Model
-) -> dict[str, Array]:
+def _read(wheel: Wheel, side: Array, placed: Any, slopes: Any, model: Model) -> dict[str, Array]:
     """Return all curves at one set of driven readings, from what `_placed` returns and its
     derivatives with respect to the readings."""
     (pose, e, _), (turning, e_slopes, V_slopes), single = placed, slopes, springs_of(model)
@@ -485,8 +473,8 @@ def _read(
     if wheel.kingpin is not None:
         lower, upper = pose.point(wheel.kingpin[0]), pose.point(wheel.kingpin[1])
         curves |= wheel.steering(pose, side, lower, upper - lower)
-    elif steer is not None:
-        w, v = _twist(pose, turning, steer)
+    elif V_slopes.size > 1:  # the second reading steers
+        w, v = _twist(pose, turning, 1)
         curves |= wheel.steering(pose, side, pose.p + cross(w, v) / dot(w, w), w)
     w, v = _twist(pose, turning, 0)
     at_contact, at_center = v + cross(w, C - pose.p), v + cross(w, center - pose.p)

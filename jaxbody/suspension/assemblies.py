@@ -28,7 +28,14 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.errors import (
+    JaxbodyError,
+    Problem,
+    Problems,
+    Status,
+    check_all_known,
+    unknown,
+)
 from jaxbody.core.results import Result, finished
 from jaxbody.geometry.frames import Instant
 from jaxbody.mechanics.constraints import (
@@ -156,9 +163,7 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
                 hint="Give Model(closures={...}).",
             )
         )
-    names = model.layout.bodies
-    if wrong := [unknown(name, "assemble.hold", names) for name in hold if name not in names]:
-        raise JaxbodyError(*wrong)
+    check_all_known(hold, "assemble.hold", model.layout.bodies)
     if start is not None:
         check_state(model, start, "assemble.start")
     assembly = _assembled(model, drawn_reference(model) if start is None else start, tuple(hold))
@@ -169,17 +174,12 @@ def _closed(status):
     return status == Status.OK
 
 
-def _held(model: Model, names: tuple[str, ...]) -> np.ndarray:
-    held = np.zeros(model.layout.nv, bool)
-    for name in names:
-        held[model.layout.v_slices[name]] = True
-    return held
-
-
 @program
 def _assembled(model: Model, start: State, hold: tuple[str, ...]) -> Assembly:
-    before = closure_gaps(model, None, start.q)
-    q, far = solve(closure_gaps, model, None, start.q, _held(model, hold))
+    before, held = closure_gaps(model, None, start.q), np.zeros(model.layout.nv, bool)
+    for name in hold:
+        held[model.layout.v_slices[name]] = True
+    q, far = solve(closure_gaps, model, None, start.q, held)
     after, slopes = values_and_slopes(Chart(model), lambda q: closure_gaps(model, None, q), q)
     return Assembly(
         model=model,
@@ -216,18 +216,17 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
     check_sensors(
         {name: drive for name, drive in given.items() if not isinstance(drive, str)}, model, where
     )
-    drives = []
+    drives, places = [], model.layout.coordinate_places
     with Problems() as problems:
         for name, drive in given.items():
             place = f"{where}['{name}']"
-            if isinstance(drive, str):
-                drives.append(
-                    problems.gather(
-                        lambda drive=drive, name=name, place=place: _coordinate(
-                            model, name, drive, place
-                        )
-                    )
-                )
+            if isinstance(drive, str) and drive in places:
+                at, _ = places[drive]
+                drives.append(Drive(name, at, model.layout.q_units[at]))
+            elif isinstance(drive, str):
+                problem = unknown(drive, place, tuple(places))
+                limit = "a coordinate of a joint, or a sensor"
+                problems.collected.append(replace(problem, limit=limit))
             elif drive.shape != ():
                 problems.add(
                     "BAD_SHAPE",
@@ -240,15 +239,6 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
             else:
                 drives.append(Drive(name, None, drive.unit, drive))
     return tuple(drives)
-
-
-def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
-    places = model.layout.coordinate_places
-    if path not in places:
-        problem = unknown(path, where, tuple(places))
-        raise JaxbodyError(replace(problem, limit="a coordinate of a joint, or a sensor"))
-    at, _ = places[path]
-    return Drive(name, at, model.layout.q_units[at])
 
 
 def conditions(

@@ -54,10 +54,6 @@ class Car(Suspension):
     rl: Wheel
     rr: Wheel
 
-    @property
-    def wheels(self):
-        return self.fl, self.fr, self.rl, self.rr
-
     def curves(self, wheel: str, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
         """Compute curves of a wheel, such as "fl", over its travel [m] and the displacement of the
         rack [m], each one number or as many as the other has, while the car is held. The wheel

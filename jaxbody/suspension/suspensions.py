@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, device_array, is_concrete
-from jaxbody.core.errors import Problems, unknown
+from jaxbody.core.errors import Problems, check_all_known, unknown
 from jaxbody.geometry.closures import Ball as BallClosure
 from jaxbody.geometry.closures import Closure, Inline, Rod
 from jaxbody.model.bodies import Body
@@ -29,13 +29,6 @@ from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
 from jaxbody.suspension.wheels import Wheel
-
-S = TypeVar("S", bound="Suspension")
-
-
-def _located(points: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the hard points as arrays."""
-    return {name: device_array(point) for name, point in points.items()}
 
 
 class Suspension(eqx.Module):
@@ -66,7 +59,7 @@ class Suspension(eqx.Module):
 
     model: Model
     hard_points: dict[str, Float[Array, "3"]] = eqx.field(
-        default_factory=dict, kw_only=True, converter=_located
+        default_factory=dict, kw_only=True, converter=lambda at: jax.tree.map(device_array, at)
     )
     build: Callable[[dict[str, Any]], Suspension] | None = eqx.field(
         static=True, default=None, kw_only=True
@@ -74,10 +67,10 @@ class Suspension(eqx.Module):
 
     @property
     def wheels(self) -> tuple[Wheel, ...]:
-        """The wheels of the suspension."""
-        return ()
+        """The wheels of the suspension, in the order of its fields."""
+        return tuple(part for part in vars(self).values() if isinstance(part, Wheel))
 
-    def moved(self: S, places: Mapping[str, Any]) -> S:
+    def moved(self, places: Mapping[str, Any]) -> Self:
         """Return the suspension with these hard points at other places {name: place [m]}, in the
         model and the wheels: points, axes, lengths of rods. All other numbers remain; a spring
         keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE,
@@ -87,11 +80,7 @@ class Suspension(eqx.Module):
         >>> corner.model["tie rod"].a.tolist()
         [0.05, 0.2, 0.255]
         """
-        with Problems() as problems:
-            names = tuple(self.hard_points)
-            problems.collected += [
-                unknown(name, "moved", names) for name in places if name not in names
-            ]
+        check_all_known(places, "moved", self.hard_points)
         if self.build is None or not places:
             return self
         points = self.hard_points | dict(places)
@@ -126,10 +115,6 @@ class Corner(Suspension):
 
     wheel: Wheel
     steering: str = eqx.field(static=True, default="rack.q")
-
-    @property
-    def wheels(self):
-        return (self.wheel,)
 
     def curves(self, travel: Any, steering: Any = 0.0) -> SuspensionCurves:
         """Compute the curves of the suspension over `travel`, the rise of the wheel's center [m],
@@ -497,10 +482,6 @@ class Axle(Suspension):
 
     left: Wheel
     right: Wheel
-
-    @property
-    def wheels(self):
-        return self.left, self.right
 
     def curves(self, left: Any, right: Any) -> SuspensionCurves:
         """Compute curves of the left wheel over the rise of the centers of both [m], each one

@@ -1,7 +1,9 @@
 """Axes, panels, colors and legends that all plots share. matplotlib is imported when something
 is drawn."""
 
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.views.scenes.colors import COLORS, GRAY, INK, rgb
 
+Draw = TypeVar("Draw", bound=Callable[..., Any])
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # one for each four lines
 MARKERS = "osD^vP*X"  # of series of marks
 NAME = 0.165  # height of a line of a legend [in]
@@ -221,6 +224,29 @@ def legend(ax: Any, count: int, **options: Any) -> None:
 def with_unit(what: str, unit: str) -> str:
     """Return the label "what [unit]" of an axis; the unit is "-" if `unit` is empty."""
     return f"{what} [{unit or '-'}]"
+
+
+def of_one(array: str, ndim: int) -> Callable[[Draw], Draw]:
+    """Return a decorator of plots whose first argument is one result, neither a batch nor traced.
+
+    Args:
+        array: name of an array of the result.
+        ndim: its number of dimensions in one result.
+
+    Errors of the plot: BAD_SHAPE, TRACED."""
+
+    def of_plot(draw: Draw) -> Draw:
+        first = next(iter(draw.__annotations__))
+
+        @wraps(draw)
+        def checked(*given: Any, **named: Any) -> Any:
+            result = given[0] if given else named[first]
+            check_single(f"{draw.__name__}.{first}", getattr(result, array), ndim)
+            return draw(*given, **named)
+
+        return checked  # pyright: ignore[reportReturnType]
+
+    return of_plot
 
 
 def check_single(where: str, values: Any, ndim: int) -> None:

@@ -19,8 +19,8 @@ from jaxbody.sensors.sensors import Channel
 from jaxbody.views.plots.canvases import (
     axes_below,
     axes_or_new,
-    check_single,
     legend,
+    of_one,
     pale,
     panels_of_lines,
     panels_of_marks,
@@ -441,6 +441,7 @@ def _measured_responses(ax: Any, f: np.ndarray, pairs: dict[str, tuple[str, np.n
     return ax
 
 
+@of_one("times", 1)
 def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
     """Draw the motion of the base recovered from its accelerations [m, rad] over time, and what was
     removed from the accelerations [m/s2, rad/s].
@@ -452,7 +453,6 @@ def plot_recovered(recovered: Recovered, *, ax: Any = None) -> Any:
     >>> jb.plots.plot_recovered(shaken).figure.axes[-1].get_xlabel()
     'time [s]'
     """
-    check_single("plot_recovered.recovered", recovered.times, 1)
     values, removed = np.asarray(recovered.motion.values), np.asarray(recovered.removed)
     panels = {}
     for label, rows, own in (

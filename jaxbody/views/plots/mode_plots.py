@@ -21,6 +21,7 @@ from jaxbody.views.plots.canvases import (
     check_single,
     heat_map,
     legend,
+    of_one,
     style,
 )
 from jaxbody.views.plots.model_plots import look_along
@@ -34,6 +35,7 @@ CURVE = np.linspace(0, 1, 50)
 LEAST_SHOWN = 0.05
 
 
+@of_one("frequency", 1)
 def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any = None) -> Any:
     """Draw the shares of each mode's energy [%] as a heat map with one column per mode.
 
@@ -59,7 +61,6 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
                 "Give one of these.",
             )
         )
-    check_single("plot_mode_energies.energies", energies.frequency, 1)
     every = _rows(energies, kind)
     rows = {
         name: row
@@ -95,6 +96,7 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
     return {name: np.asarray(row) for name, row in rows.items()}
 
 
+@of_one("frequency", 2)
 def plot_tracked_modes(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
     """Draw the frequency of each mode [Hz] along a parameter; a gap and a cross mark where a mode
     could not be tracked.
@@ -113,7 +115,6 @@ def plot_tracked_modes(branches: Branches, *, parameter: str = "parameter", ax: 
     ... ]
     ['1: body bounce 86 %', '2: body about y 86 %']
     """
-    check_single("plot_tracked_modes.branches", branches.frequency, 2)
     ax = axes_or_new(ax, 6.0, 4.0)
     values, ended = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
     for i, (name, frequency) in enumerate(
@@ -172,6 +173,7 @@ def plot_matrix(lin: LinearSystem, *, matrix: str = "K", ax: Any = None) -> Any:
     )
 
 
+@of_one("frequency", 1)
 def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     """Draw the shapes of natural modes as a heat map with one column per mode: sqrt(M_ii) phi_i,
     without units and with their signs.
@@ -183,7 +185,6 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     >>> [text.get_text() for text in jb.plots.plot_modes(jb.modes(lin)).get_yticklabels()]
     ['body move along its guide', 'wheel move along its guide']
     """
-    check_single("plot_modes.modes", modes.frequency, 1)
     shapes = np.sqrt(np.diag(np.asarray(modes.M)))[:, None] * np.asarray(modes.shapes)
     names = list(modes.layout.with_mass)
     return heat_map(
@@ -203,6 +204,7 @@ def _mode_heads(frequency: Any) -> list[str]:
     return [f"{i + 1}\n{f:.4g} Hz" for i, f in enumerate(np.asarray(frequency))]
 
 
+@of_one("frequency", 1)
 def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
     """Draw the poles of complex modes: damped frequency [Hz] over real part [1/s], with lines of
     constant damping ratio.
@@ -215,7 +217,6 @@ def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('real part [1/s]', 'damped frequency [Hz]')
     """
-    check_single("plot_poles.modes", modes.frequency, 1)
     ax = axes_or_new(ax, 7.0, 3.8)
     poles = without_dust(modes.poles)
     heights = np.abs(poles.imag) / (2 * np.pi)
@@ -263,6 +264,7 @@ def plot_poles(modes: ComplexModes, *, ax: Any = None) -> Any:
     return ax
 
 
+@of_one("frequency", 1)
 def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     """Draw the change of each natural frequency [%] over the amplitude of the mode's largest
     component, up to 5 %.
@@ -281,7 +283,6 @@ def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     ... ).get_xlabel()
     'amplitude [rad]'
     """
-    check_single("plot_backbone_curves.backbones", backbones.frequency, 1)
     curvature = np.asarray(backbones.curvature)
     largest, known = np.asarray(backbones.largest), np.isfinite(curvature)
     reach = np.asarray(backbones.frequency_within(PERCENT))
@@ -313,6 +314,7 @@ def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     return ax
 
 
+@of_one("stiffness", 1)
 def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) -> Any:
     """Draw the elastic axes of a body with their stiffnesses and the center of stiffness, in world
     coordinates.
@@ -327,7 +329,6 @@ def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) ->
     >>> ax.get_title(), ax.get_xlabel()
     ('elastic axes of engine', 'x [m]')
     """
-    check_single("plot_elastic_axes.axes", axes.stiffness, 1)
     lines = [
         (f"axis {i + 1}: {k:.4g} N/m", np.asarray(point), np.asarray(n))
         for i, (k, point, n) in enumerate(
@@ -343,6 +344,7 @@ def plot_elastic_axes(axes: ElasticAxes, *, view: str = "xz", ax: Any = None) ->
     )
 
 
+@of_one("point", 1)
 def plot_torque_roll_axis(axis: TorqueRollAxis, *, view: str = "xz", ax: Any = None) -> Any:
     """Draw the torque roll axis of a body through its center of mass, with the frequency of the
     rotation about it; the arguments are those of `plot_elastic_axes`.
@@ -357,7 +359,6 @@ def plot_torque_roll_axis(axis: TorqueRollAxis, *, view: str = "xz", ax: Any = N
     >>> ax.get_title(), ax.get_ylabel()
     ('torque roll axis of engine', 'y [m]')
     """
-    check_single("plot_torque_roll_axis.axis", axis.point, 1)
     line = (
         f"torque roll axis: {float(axis.frequency):.4g} Hz",
         np.asarray(axis.point),

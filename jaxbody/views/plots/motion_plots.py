@@ -14,8 +14,8 @@ from jaxbody.motion.trajectories import Trajectory
 from jaxbody.views.plots.canvases import (
     axes_below,
     axes_or_new,
-    check_single,
     legend,
+    of_one,
     panels_of_lines,
     style,
 )
@@ -23,6 +23,7 @@ from jaxbody.views.scenes.colors import INK
 from jaxbody.views.scenes.poses import coordinate_changes, turns
 
 
+@of_one("times", 1)
 def plot_trajectory(
     trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
@@ -44,7 +45,6 @@ def plot_trajectory(
     >>> ax.get_ylabel()
     'displacement [m]'
     """
-    check_single("plot_trajectory.trajectory", trajectory.times, 1)
     layout, poses = trajectory.model.layout, trajectory.poses
     names = bodies or (*layout.bodies, *layout.supports)
     check_all_known(names, "plot_trajectory.bodies", poses)
@@ -62,6 +62,7 @@ def plot_trajectory(
     )
 
 
+@of_one("times", 1)
 def plot_forces(
     trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
@@ -85,7 +86,6 @@ def plot_forces(
     >>> ax.get_ylabel(), [line.get_label() for line in ax.lines]
     ('dynamic force, tension positive [N]', ['s'])
     """
-    check_single("plot_forces.trajectory", trajectory.times, 1)
     forces = trajectory.forces
     names = elements or tuple(forces)
     check_all_known(names, "plot_forces.elements", forces)
@@ -111,6 +111,7 @@ def plot_forces(
     return ax
 
 
+@of_one("times", 1)
 def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
     """Draw energies over time [J] with their balance:
 
@@ -126,7 +127,6 @@ def plot_energies(trajectory: Trajectory, *, ax: Any = None) -> Any:
     >>> print(*(line.get_label() for line in ax.lines), sep=", ")
     kinetic, potential, dissipated, work of the supports, kinetic + potential + dissipated - work
     """
-    check_single("plot_energies.trajectory", trajectory.times, 1)
     lines = energy_balance(trajectory)
     ax = panels_of_lines(
         axes_or_new(ax, 7.5, 3.4), trajectory.times, {"energy [J]": lines}, "time [s]"
@@ -173,6 +173,7 @@ def _integral(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out
 
 
+@of_one("times", 1)
 def plot_phases(
     trajectory: Trajectory, *, coordinates: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
@@ -201,7 +202,6 @@ def plot_phases(
     >>> ax.get_xlabel(), ax.get_ylabel(), [line.get_label() for line in ax.lines]
     ('turn [rad]', 'rate of turn [rad/s]', ['bob turn about its hinge', 'start'])
     """
-    check_single("plot_phases.trajectory", trajectory.times, 1)
     model, rates = trajectory.model, np.asarray(trajectory.state.v)
     layout = model.layout
     values = coordinate_changes(layout, trajectory.state.q, model.reference.q)
@@ -228,6 +228,7 @@ def plot_phases(
     return _curves(ax, panels, start=True)
 
 
+@of_one("times", 1)
 def plot_force_strokes(
     trajectory: Trajectory,
     *,
@@ -259,7 +260,6 @@ def plot_force_strokes(
     >>> ax.get_xlabel(), [line.get_label() for line in ax.lines]
     ('elongation [m]', ['suspension', 'tyre'])
     """
-    check_single("plot_force_strokes.trajectory", trajectory.times, 1)
     model, times = trajectory.model, np.asarray(trajectory.times)
     check_all_known(elements or (), "plot_force_strokes.elements", model.element_names)
     shown = times >= (times[0] if start is None else start)

@@ -14,8 +14,8 @@ from jaxbody.views.plots.canvases import (
     DASHES,
     axes_below,
     axes_or_new,
-    check_single,
     legend,
+    of_one,
     panels_of_lines,
     style,
     with_unit,
@@ -27,6 +27,7 @@ MOST_TICKS = 5
 MANY = 16  # largest number of lines whose legend fits beside a plot of normal width
 
 
+@of_one("frequencies", 1)
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
     """Draw magnitudes over frequency, both on logarithmic scales, one panel per unit, with the
     phases below; return the top axes. The legend has the inputs.
@@ -43,7 +44,6 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     >>> ax.get_ylabel()
     'magnitude [-]'
     """
-    check_single("plot_frequency_response.response", response.frequencies, 1)
     f, size, phase = _above_0_hz(response)
     phase = phase - 2 * np.pi * np.round(phase[..., :1] / (2 * np.pi))
     pairs = _pairs(response)
@@ -55,6 +55,7 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     return _over_frequency(ax, f, panels, "magnitude", "phase", _input(response))
 
 
+@of_one("frequencies", 1)
 def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> Any:
     """Draw the magnitude of the dynamic stiffness of an element over frequency, with its loss angle
     below; return the top axes.
@@ -66,13 +67,13 @@ def plot_element_stiffness(stiffness: DynamicStiffness, *, ax: Any = None) -> An
     >>> ax.get_ylabel()
     'magnitude [N/m]'
     """
-    check_single("plot_element_stiffness.stiffness", stiffness.frequencies, 1)
     K = np.asarray(stiffness.stiffness)
     panels = {stiffness.unit: {"": (np.abs(K), np.angle(K), None)}}
     f, ax = np.asarray(stiffness.frequencies), axes_or_new(ax, 7.0, 4.4)
     return _over_frequency(ax, f, panels, "magnitude", "loss angle")
 
 
+@of_one("frequencies", 1)
 def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
     """Draw the magnitudes of dimensionless responses, motion over motion or force over force, over
     frequency; the region above 1 is shaded.
@@ -92,7 +93,6 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     ... )  # slowly the body moves as the road
     ('transmissibility [-]', 1.01)
     """
-    check_single("plot_transmissibility.response", response.frequencies, 1)
     ratios = [
         (i, j, name)
         for i, j, name in _pairs(response)
@@ -122,6 +122,7 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     return ax
 
 
+@of_one("frequencies", 1)
 def plot_dynamic_stiffness(
     response: FrequencyResponse, *, pairs: dict[str, tuple[str, str]] | None = None, ax: Any = None
 ) -> Any:
@@ -155,7 +156,6 @@ def plot_dynamic_stiffness(
     >>> round(float(ax.lines[0].get_ydata()[0]), 1)  # 35000 N/m
     35.0
     """
-    check_single("plot_dynamic_stiffness.response", response.frequencies, 1)
     f = np.asarray(response.frequencies)
     panels: dict[str, Any] = {}
     for name, (units, values) in (
@@ -220,6 +220,7 @@ def _over_frequency(
     return ax
 
 
+@of_one("times", 1)
 def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
     """Draw the frequency-weighted acceleration over time with its rms value, and below it the
     vibration dose value accumulated since the start.
@@ -229,7 +230,6 @@ def plot_weighted_signal(signal: WeightedSignal, *, ax: Any = None) -> Any:
     ... ).get_ylabel()
     'weighted by Wk [m/s2]'
     """
-    check_single("plot_weighted_signal.signal", signal.times, 1)
     unit = "rad/s2" if signal.name == "We" else "m/s2"
     panels = {
         f"weighted by {signal.name} [{unit}]": {
@@ -305,6 +305,7 @@ def _ratios(
     return ratios
 
 
+@of_one("A", 2)
 def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = None) -> Any:
     """Draw the frequency response C (i w - A)^-1 B + D, as in `plot_frequency_response`.
 
@@ -317,7 +318,6 @@ def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = N
     ... ).get_ylabel()
     'magnitude [-]'
     """
-    check_single("plot_state_space.system", system.A, 2)
     A, B, C, D = (np.asarray(x) for x in (system.A, system.B, system.C, system.D))
     if frequencies is None:
         sizes = np.abs(np.linalg.eigvals(A)) / (2 * np.pi)
@@ -337,6 +337,7 @@ def plot_state_space(system: StateSpace, *, frequencies: Any = None, ax: Any = N
     return plot_frequency_response(response, ax=ax)
 
 
+@of_one("frequencies", 1)
 def plot_psd(
     response: RandomResponse, *, outputs: tuple[str, ...] | None = None, ax: Any = None
 ) -> Any:
@@ -355,7 +356,6 @@ def plot_psd(
     ... ).get_ylabel()
     'power spectral density [m$^2$/Hz]'
     """
-    check_single("plot_psd.response", response.frequencies, 1)
     names = outputs or response.outputs
     f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
     panels: dict[str, dict[str, float]] = {}

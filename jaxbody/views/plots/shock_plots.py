@@ -11,17 +11,24 @@ from jaxbody.shock.peak_factors import PeakFactors
 from jaxbody.shock.response_spectra import ResponseSpectrum
 from jaxbody.shock.shock_spectra import ShockSpectrum
 from jaxbody.shock.spectrum_responses import SpectrumResponse
-from jaxbody.views.plots.canvases import axes_below, axes_or_new, check_single, legend, with_unit
+from jaxbody.views.plots.canvases import (
+    axes_below,
+    axes_or_new,
+    check_single,
+    legend,
+    of_one,
+    with_unit,
+)
 from jaxbody.views.plots.response_plots import hertz, lines_over_frequency, plain_numbers
 from jaxbody.views.scenes.colors import COLORS, GRAY
 
 LEAST_SHARE = 1e-3  # least share of a mode that is drawn
 
 
+@of_one("frequencies", 1)
 def plot_shock_spectrum(spectrum: ShockSpectrum, *, ax: Any = None) -> Any:
     """Draw a shock spectrum over natural frequency on logarithmic scales, with a line for each
     damping ratio."""
-    check_single("plot_shock_spectrum.spectrum", spectrum.frequencies, 1)
     f, values = np.asarray(spectrum.frequencies), np.asarray(spectrum.values)
     order = np.argsort(f)
     lines = [
@@ -77,10 +84,10 @@ def plot_spectrum_compatible_record(quake: MatchedRecord, *, ax: Any = None) -> 
     return ax
 
 
+@of_one("values", 1)
 def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any:
     """Draw the shares of the modes in the peak of each output: shares of the squares, or of the
     magnitudes for combine="absolute"."""
-    check_single("plot_spectrum_response.response", response.values, 1)
     shares = np.asarray(response.shares)
     shown = [j for j in range(shares.shape[1]) if np.abs(shares[:, j]).max() > LEAST_SHARE]
     ax, y = axes_or_new(ax, 7.5, 1.4 + 0.45 * len(shares)), np.arange(len(shares))
@@ -113,10 +120,10 @@ def plot_spectrum_response(response: SpectrumResponse, *, ax: Any = None) -> Any
     return ax
 
 
+@of_one("factor", 1)
 def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
     """Draw the peak factors of outputs with their standard deviations; the labels of the outputs
     state their maxima."""
-    check_single("plot_peak_factors.peaks", peaks.factor, 1)
     ax, y = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(peaks.outputs)), np.arange(len(peaks.outputs))
     spread = np.nan_to_num(np.asarray(peaks.deviation))
     ax.errorbar(np.asarray(peaks.factor), y, xerr=spread, fmt="o", ms=5, color=COLORS[0], capsize=3)
@@ -135,10 +142,10 @@ def plot_peak_factors(peaks: PeakFactors, *, ax: Any = None) -> Any:
     return ax
 
 
+@of_one("damage", 1)
 def plot_fatigue_damage(damage: FatigueDamage, *, ax: Any = None) -> Any:
     """Draw the fatigue damage of each output on a logarithmic scale; a damage of 1 means
     failure."""
-    check_single("plot_fatigue_damage.damage", damage.damage, 1)
     ax, values = axes_or_new(ax, 7.0, 1.3 + 0.4 * len(damage.outputs)), np.asarray(damage.damage)
     y, positive = np.arange(len(values)), values[values > 0]
     ax.barh(y, values, height=0.6, color=COLORS[0], lw=0)

@@ -17,8 +17,8 @@ from jaxbody.suspension.assemblies import Assembly
 from jaxbody.views.plots.canvases import (
     axes_below,
     axes_or_new,
-    check_single,
     legend,
+    of_one,
     panels_of_lines,
     panels_of_marks,
 )
@@ -31,6 +31,7 @@ WIDTH = 60  # letters in a line of a title
 NEGLIGIBLE = 1e-9
 
 
+@of_one("energy", 0)
 def draw_equilibrium(
     eq: Equilibrium, *, view: str | None = None, names: bool = True, ax: Any = None
 ) -> Any:
@@ -46,13 +47,13 @@ def draw_equilibrium(
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('x [m]', 'z [m]')
     """
-    check_single("draw_equilibrium.eq", eq.energy, 0)
     ax = draw_model(eq.model, eq.state, view=view, names=names, ax=ax)
     if int(eq.status):
         ax.set_title(eq.message(lambda eq: "").partition(":")[0], fontsize=9)
     return ax
 
 
+@of_one("status", 0)
 def draw_assembly(
     assembly: Assembly, *, view: str | None = None, names: bool = True, ax: Any = None
 ) -> Any:
@@ -64,7 +65,6 @@ def draw_assembly(
         names: whether to write the names of bodies and elements.
         ax: axes to draw into; None makes a new figure.
     """
-    check_single("draw_assembly.assembly", assembly.status, 0)
     ax = draw_model(assembly.model, assembly.state, view=view, names=names, ax=ax)
     if int(assembly.status):
         ax.set_title(fill(assembly.report(), WIDTH), fontsize=9)
@@ -158,6 +158,7 @@ def plot_equilibria(equilibria: Equilibria, *, ax: Any = None) -> Any:
     return ax
 
 
+@of_one("displacement_rows", 3)
 def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -> Any:
     """Draw strokes and forces of the elements in every load case, and below them rotations and
     moments of elements that have these; one mark per case.
@@ -180,7 +181,6 @@ def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -
     >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
     ('stroke [m]', ['brake', 'bump'])
     """
-    check_single("plot_load_cases.cases", cases.displacement_rows, 3)
     if of not in ("elements", "bodies"):
         raise JaxbodyError(
             Problem(
@@ -237,6 +237,7 @@ def plot_load_cases(cases: LoadCases, *, of: str = "elements", ax: Any = None) -
     return panels_of_marks(ax, tables, names)
 
 
+@of_one("status", 1)
 def plot_suspension_curves(
     curves: SuspensionCurves,
     *,
@@ -255,7 +256,6 @@ def plot_suspension_curves(
     >>> curves = jb.suspension.double_wishbone().curves(np.linspace(-0.1, 0.1, 11))
     >>> ax = curves.plot(of=["camber", "toe"])  # doctest: +SKIP
     """
-    check_single("plot_suspension_curves.curves", curves.status, 1)
     check_all_known(of, "plot_suspension_curves.of", curves.curves)
     panels: dict[str, dict[str, Any]] = {}
     for name in of:
@@ -278,6 +278,7 @@ def _shown_in(unit: str, values: Any) -> np.ndarray:
     return np.asarray(values) * {"deg": 180 / np.pi, "mm": 1e3, "N/mm": 1e-3}.get(unit, 1.0)
 
 
+@of_one("values", 1)
 def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
     """Draw the changes of the free lengths [m] that make a pose an equilibrium, and of the
     coordinates that may move; angles [rad] are below.
@@ -287,7 +288,6 @@ def plot_preload(preload: Preload, *, ax: Any = None) -> Any:
     >>> jb.preload(softer).plot().get_xlabel()
     'change [m]'
     """
-    check_single("plot_preload.preload", preload.values, 1)
     layout = preload.model.layout
     angles = {path for path in preload.paths if path.endswith("free_angle")}
     angles |= {name for name, turn in zip(layout.coordinates, layout.turns, strict=True) if turn}

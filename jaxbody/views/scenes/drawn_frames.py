@@ -1,5 +1,5 @@
 """Frames of an animation as pictures: meshes in perspective, rasterized with NumPy, names and
-trails drawn by matplotlib; and as files: PNG of one frame, GIF and MP4 of all, without a display."""
+trails drawn by matplotlib; and as files, PNG of one frame, GIF and MP4 of all; with no display."""
 
 from collections.abc import Iterator
 from contextlib import closing
