@@ -101,6 +101,7 @@ def _peak(x: Inexact[Array, "*n"], power: float) -> Float[Array, ""]:
     return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)
 
 
+@program
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     """Return for each mode the largest share of kinetic energy in one body and direction [%]; it is
     100 for an uncoupled mode.
@@ -115,14 +116,10 @@ def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     ... ]
     [99.4, 98.21, 37.13, 49.36, 65.54, 78.84]
     """
-    return _dominant_shares(lin)
-
-
-@program
-def _dominant_shares(lin: Linearization) -> Float[Array, "n"]:
     return 100 * jnp.max(kinetic_shares(lin), axis=0)
 
 
+@program
 def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     """Return a measure of the coupling of modes: zero if each mode moves one body in one direction
     only. Minimize it to decouple modes.
@@ -140,11 +137,6 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     >>> round(float(jb.objectives.coupling_of_modes(jb.linearize(model, model.reference))), 4)
     0.0
     """
-    return _coupling_of_modes(lin)
-
-
-@program
-def _coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
     size = jnp.sqrt(kinetic_shares(lin) ** 2 + LEAST_SHARE**2) - LEAST_SHARE
     return jnp.sum(jnp.sum(size, 0) ** 2 - jnp.sum(size**2, 0))
 
@@ -251,6 +243,7 @@ def _transmitted(response: FrequencyResponse, output: str, name: str) -> Float[A
     return jnp.sqrt(jnp.trapezoid(jnp.real(H) ** 2 + jnp.imag(H) ** 2, x) / (x[-1] - x[0]))
 
 
+@program
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     """Return the vibration total value [m/s2] of the accelerations in a random response; a small
     value means good comfort.
@@ -273,11 +266,6 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     >>> round(float(jb.objectives.comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
-    return _comfort(ride, weights)
-
-
-@program
-def _comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     return _root(jnp.sum(weighted_response(ride, weights).rms ** 2))
 
 

@@ -14,7 +14,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.source_files import writing
 from jaxbody.views.scenes.animations import Animation, Camera, DrawnPart, NameLabel
 from jaxbody.views.scenes.colors import GRAY, INK, rgb
-from jaxbody.views.scenes.name_places import Label, annotate
+from jaxbody.views.scenes.name_places import annotate
 from jaxbody.views.scenes.shapes import Mesh
 
 MOST = 3_000_000  # largest number of pixels that are tested at once
@@ -354,17 +354,8 @@ def write_names(ax: Any, renderer: Renderer, labels: list[NameLabel]) -> list[An
                 points.append(flat)
             else:
                 lines += [*flat[edges[::3]]]
-    toward = np.array([0.5, 1.0])
     places = [project(label.p[:1])[0][0] for label in labels]
-    annotate(
-        ax,
-        [
-            Label(label.text, at, toward, 9 if label.kind == "body" else 8, label.color)
-            for label, at in zip(labels, places, strict=True)
-        ],
-        lines,
-        np.concatenate(points),
-    )
+    annotate(ax, labels, places, lines, np.concatenate(points))
     return ax.texts[known:]
 
 

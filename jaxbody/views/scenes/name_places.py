@@ -1,9 +1,10 @@
 """Where names are written in a picture: near what they name, off what is drawn."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from jaxbody.views.scenes.animations import NameLabel
 from jaxbody.views.scenes.colors import GRAY
 
 WIDTH, HEIGHT = 0.62, 1.3  # size of a letter, relative to the font size
@@ -16,20 +17,18 @@ HIDDEN = 1e3  # cost of covering another label, over that of a sample point of a
 FAR = 16.0  # points, distance beyond which a thin line leads to the label
 
 
-class Label(NamedTuple):
-    """A name to be written: position of the named object and preferred direction from there, both
-    in data coordinates; font size [points] and color."""
-
-    name: str
-    at: np.ndarray
-    toward: np.ndarray
-    size: float
-    color: str
+TOWARD = np.array([0.5, 1.0])  # preferred direction from an object to its label
 
 
-def annotate(ax: Any, labels: list[Label], lines: list[np.ndarray], points: np.ndarray) -> None:
-    """Write labels where they cover as little as possible of what the axes already contain and of
-    other lines and points, in data coordinates."""
+def annotate(
+    ax: Any,
+    labels: list[NameLabel],
+    places: list[np.ndarray],
+    lines: list[np.ndarray],
+    points: np.ndarray,
+) -> None:
+    """Write labels of objects at `places` where they cover as little as possible of what the axes
+    already contain and of other lines and points, in data coordinates."""
     from matplotlib.patheffects import withStroke
 
     if not labels:
@@ -43,10 +42,10 @@ def annotate(ax: Any, labels: list[Label], lines: list[np.ndarray], points: np.n
     taken = scale * np.array(
         [[*box.min, *box.max] for box in (text.get_window_extent() for text in ax.texts)]
     ).reshape(-1, 4)
-    for label in labels:
-        at = scale * ax.transData.transform(label.at)
-        half = 0.5 * label.size * np.array([WIDTH * len(label.name), HEIGHT])
-        offsets, reach, costs = _places(label.toward, half)
+    for label, place in zip(labels, places, strict=True):
+        at, size = scale * ax.transData.transform(place), 9 if label.kind == "body" else 8
+        half = 0.5 * size * np.array([WIDTH * len(label.text), HEIGHT])
+        offsets, reach, costs = _places(half)
         low, high = at + offsets - half, at + offsets + half
         (left, bottom), (right, top) = low.T[..., None] - CLEAR, high.T[..., None] + CLEAR
         costs = costs + HIDDEN * np.sum(
@@ -68,11 +67,11 @@ def annotate(ax: Any, labels: list[Label], lines: list[np.ndarray], points: np.n
             else None
         )
         ax.annotate(
-            label.name,
-            label.at,
+            label.text,
+            place,
             xytext=offsets[best],
             textcoords="offset points",
-            fontsize=label.size,
+            fontsize=size,
             color=label.color,
             ha="center",
             va="center",
@@ -99,17 +98,16 @@ def _points_along(line: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, s, x) for x in line.T], -1)
 
 
-def _places(toward: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _places(half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return trial offsets of the center of a label of half size `half`, their distances from the
     object [points] and their costs.
 
     The cost grows with the distance and with the angle from the direction `toward`."""
     reach, turn = (
-        x.ravel()
-        for x in np.meshgrid(RINGS, ANGLES + np.arctan2(toward[1], toward[0]), indexing="ij")
+        x.ravel() for x in np.meshgrid(RINGS, ANGLES + np.arctan2(*TOWARD[::-1]), indexing="ij")
     )
     direction = np.stack([np.cos(turn), np.sin(turn)], -1)
-    away = 1 - direction @ toward / (np.linalg.norm(toward) or 1.0)
+    away = 1 - direction @ TOWARD / np.linalg.norm(TOWARD)
     # from the center to the edge of the label, in this direction
     edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)
     return (reach + edge)[:, None] * direction, reach, 0.15 * reach + away

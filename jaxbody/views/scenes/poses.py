@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxbody.core.arrays import Array, is_concrete
 from jaxbody.core.compilation.compile_options import program
@@ -160,31 +161,25 @@ def coordinate_changes(layout: Layout, q: Any, start: Any) -> np.ndarray:
     for block in layout.joints:
         own, start = q[:, layout.q_slices[block.owner]], rest[layout.q_slices[block.owner]]
         if block.quaternion:
-            columns += [own[:, :-4] - start[:-4], turns(_matrices(own[:, -4:]), start[-4:])]
+            columns += [own[:, :-4] - start[:-4], turns(own[:, -4:], start[-4:])]
         else:
             columns.append(own - start)
     return np.concatenate(columns, 1)
 
 
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    out, good = np.full((len(quaternions), 3, 3), np.nan), np.isfinite(quaternions).all(1)
-    out[good] = Rotation.from_quat(quaternions[good][:, [1, 2, 3, 0]]).as_matrix()
-    return out
-
-
 def turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return rotation vectors of R (n, 3, 3) relative to an orientation (quaternion w, x, y, z), in
-    world axes, unwrapped through full turns."""
-    from scipy.spatial.transform import Rotation
-
-    good = np.isfinite(R).all((1, 2))
+    """Return rotation vectors of R (n, 3, 3), or of quaternions (n, 4), relative to an orientation
+    (quaternion w, x, y, z), in world axes, unwrapped through full turns."""
+    good = np.isfinite(R).reshape(len(R), -1).all(1)
     out = np.full((len(R), 3), np.nan)
     if good.any():
-        out[good] = (
-            Rotation.from_matrix(R[good]) * Rotation.from_quat(start[[1, 2, 3, 0]]).inv()
-        ).as_rotvec()
+        known, rest = R[good], Rotation.from_quat(start, scalar_first=True)
+        turned = (
+            Rotation.from_matrix(known)
+            if R.ndim == 3
+            else Rotation.from_quat(known, scalar_first=True)
+        )
+        out[good] = (turned * rest.inv()).as_rotvec()
     for i in range(1, len(out)):
         angle = np.linalg.norm(out[i])
         if np.isfinite(angle) and angle > 0:
