@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
-from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS
 from jaxbody.core.errors import JaxbodyError, Problem, check_known
 from jaxbody.core.printed_tables import text_in, unit_words
-from jaxbody.files.documents import LARGEST, read_document
+from jaxbody.files.documents import LARGEST, read_document, set_value
 from jaxbody.files.schemas import checked_values
 
 DESCRIPTION = (

@@ -16,8 +16,8 @@ from jaxbody.core.errors import Problems
 from jaxbody.core.source_files import replacing, writing
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import arguments_of, class_of
+from jaxbody.files.model_files import json_of, numbers_of
 from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
-from jaxbody.files.writers import json_of, numbers_of
 from jaxbody.fitting.parameters.spaces import Space, units_of
 from jaxbody.model.bodies import Body
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxbody as jb
 from jaxbody.files.interchange.data_sheets import mounted_frames
-from jaxbody.files.writers import toml_of, values_of
+from jaxbody.files.model_files import toml_of, values_of
 
 HEADING = """# A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
 # Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is

@@ -16,7 +16,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.app import commands
-from jaxbody.files.writers import toml_of, values_of
+from jaxbody.files.model_files import toml_of, values_of
 
 NAMES = list(commands.COMMANDS)
 

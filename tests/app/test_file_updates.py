@@ -12,7 +12,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.app.file_updates import update
 from jaxbody.files.documents import read_document
-from jaxbody.files.writers import toml_of, values_of
+from jaxbody.files.model_files import toml_of, values_of
 from jaxbody.model.leaf_paths import leaves_of
 
 BOX = """# a box

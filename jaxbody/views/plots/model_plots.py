@@ -16,11 +16,10 @@ from jaxbody.vibration.natural_modes import Modes
 from jaxbody.vibration.spins import SpinLinearization
 from jaxbody.views.plots.canvases import axes_or_new
 from jaxbody.views.scenes.animations import Animation, camera_for, parallel_camera
-from jaxbody.views.scenes.body_parts import FLAT
 from jaxbody.views.scenes.colors import GRAY
 from jaxbody.views.scenes.drawn_frames import FINER, Renderer, write_names
 from jaxbody.views.scenes.poses import PoseSequence, marks, poses_of, still, vibrating
-from jaxbody.views.scenes.scenes import animation_of
+from jaxbody.views.scenes.scenes import FLAT, animation_of
 
 AXES = "xyz"
 FIXED = ("supports", "roads")  # groups of parts that a mode does not move

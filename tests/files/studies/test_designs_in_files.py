@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody.files.model_files import toml_of, values_of
 from jaxbody.files.studies.design_quantities import QUANTITIES
-from jaxbody.files.writers import toml_of, values_of
 
 DESIGN = """
 [sensors]
