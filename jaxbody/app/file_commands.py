@@ -1,8 +1,6 @@
 """Commands on a model file, by name: a description, an example, the function that runs it, options
 and formats."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass

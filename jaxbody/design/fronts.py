@@ -155,7 +155,27 @@ def pareto(
             if len(names) == 2
             else _over(names, ends, least, points)
         )
-    return warn_if_failed(_front(names, designs))
+    slopes = [
+        [
+            design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan
+            for name in names[1:]
+        ]
+        for design in designs
+    ]
+    front = Front(
+        objectives={name: np.array([_value(design, name) for design in designs]) for name in names},
+        values={
+            path: jnp.stack([design.values[path] for design in designs])
+            for path in designs[0].values
+        },
+        quantities={
+            name: np.stack([design.after[name] for design in designs]) for name in designs[0].after
+        },
+        slopes=np.array(slopes),
+        status=np.array([int(design.status) for design in designs]),
+        designs=tuple(designs),
+    )
+    return warn_if_failed(front)
 
 
 def _value(design: Tuning, name: str) -> float:
@@ -220,26 +240,3 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
         for design, worse, duplicate in zip(designs, np.any(dominated, 1), repeated, strict=True)
         if not worse and not duplicate
     ]
-
-
-def _front(names: list[str], designs: list[Tuning]) -> Front:
-    slopes = [
-        [
-            design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan
-            for name in names[1:]
-        ]
-        for design in designs
-    ]
-    return Front(
-        objectives={name: np.array([_value(design, name) for design in designs]) for name in names},
-        values={
-            path: jnp.stack([design.values[path] for design in designs])
-            for path in designs[0].values
-        },
-        quantities={
-            name: np.stack([design.after[name] for design in designs]) for name in designs[0].after
-        },
-        slopes=np.array(slopes),
-        status=np.array([int(design.status) for design in designs]),
-        designs=tuple(designs),
-    )

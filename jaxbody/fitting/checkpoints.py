@@ -1,8 +1,6 @@
 """Checkpoints of a fit: files with the best transformed parameters u so far, the noise levels, and
 a name for each of these numbers."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

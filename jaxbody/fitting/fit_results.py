@@ -77,23 +77,6 @@ def intervals_of(
     return intervals
 
 
-def freedoms_of(space: Space, uncertainty: Uncertainty) -> dict[str, np.ndarray]:
-    """Return {path: degrees of freedom} of Student's t in these intervals, arrays of the shape of
-    the leaf."""
-    freedoms = {}
-    for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
-        _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
-        if isinstance(parameter.form, Elementwise):
-            freedom = np.array(
-                [
-                    uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x
-                    for i, x in enumerate(freedom, own.start)
-                ]
-            )
-        freedoms[parameter.path] = freedom.reshape(G.shape[:-1])
-    return freedoms
-
-
 def widening(freedom: Any, level: float) -> str:
     """Return a note by how much few degrees of freedom widen the intervals, "" if there are
     many."""
@@ -230,7 +213,18 @@ class Fit(Labeled, Result):
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
         """Degrees of freedom {path: array} of Student's t in the intervals: few for few samples or
         for noise that is correlated over many samples."""
-        return freedoms_of(self.task.space, self._assessed())
+        uncertainty, freedoms = self._assessed(), {}
+        for (parameter, own), G in zip(self.task.space.parts, uncertainty.slopes, strict=True):
+            _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
+            if isinstance(parameter.form, Elementwise):
+                freedom = np.array(
+                    [
+                        uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x
+                        for i, x in enumerate(freedom, own.start)
+                    ]
+                )
+            freedoms[parameter.path] = freedom.reshape(G.shape[:-1])
+        return freedoms
 
     @property
     def covariance(self) -> np.ndarray:

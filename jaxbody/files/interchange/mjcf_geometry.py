@@ -198,10 +198,6 @@ def _half_sizes(a: Attributes, kind: str) -> np.ndarray | None:
     return size
 
 
-def _sphere(r):
-    return 4 / 3 * np.pi * r**3, [2 / 5 * r**2] * 3
-
-
 def _capsule(r, h):
     """Return volume and squared radii of gyration of a cylinder of radius r and length 2 h with a
     half sphere at each end; the share of the two half spheres in the mass is 4 r / (4 r + 6 h)."""
@@ -230,7 +226,7 @@ def _box(a, b, c):
 
 # functions that return the volume [m3] and the squared radii of gyration [m2] of a shape
 SHAPES: dict[str, Callable[..., tuple[float, list[float]]]] = {
-    "sphere": _sphere,
+    "sphere": lambda r: _ellipsoid(r, r, r),
     "capsule": _capsule,
     "cylinder": _cylinder,
     "ellipsoid": _ellipsoid,

@@ -24,7 +24,7 @@ from jaxbody.files.kinds import (
     texts_of,
 )
 from jaxbody.files.schemas import ANYTHING, SCHEMA_FILE, VERSION
-from jaxbody.files.studies.design_quantities import QUANTITIES
+from jaxbody.files.studies.design_builders import QUANTITIES
 from jaxbody.files.studies.measured_sections import measured_sections
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.multistarts import multistart

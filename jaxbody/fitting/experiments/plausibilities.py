@@ -9,7 +9,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg
 import numpy as np
 
 from jaxbody.core import tables
@@ -25,6 +24,7 @@ from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision, unattached
 from jaxbody.model.sizes import drawn_apart, size_of
 from jaxbody.model.states import State
+from jaxbody.numerics.eigenproblems import natural
 from jaxbody.suspension.suspensions import Suspension
 from jaxbody.vibration.linearizations import Linearization, linearize
 
@@ -207,17 +207,10 @@ def _scales(lin: Linearization) -> tuple[Array, Array]:
         return potential_energy(model, moved) - potential_energy(weightless, moved)
 
     force = -jax.grad(weight)(jnp.zeros(M.shape[0]))
-    L = jnp.linalg.cholesky(M)
-    reduced = jax.scipy.linalg.solve_triangular(
-        L, jax.scipy.linalg.solve_triangular(L, K, lower=True).T, lower=True
-    )
-    squares, vectors = jnp.linalg.eigh((reduced + reduced.T) / 2)
+    squares, shapes = natural(K, M)
     stiff = jnp.abs(squares) > ZERO * jnp.max(jnp.abs(squares))
     first = jnp.sqrt(jnp.min(jnp.where(stiff, jnp.abs(squares), jnp.inf))) / (2 * jnp.pi)
-    modal = vectors.T @ jax.scipy.linalg.solve_triangular(L, force, lower=True)
-    moved = jax.scipy.linalg.solve_triangular(
-        L.T, vectors @ jnp.where(stiff, modal / jnp.where(stiff, squares, 1.0), 0.0), lower=False
-    )
+    moved = shapes @ jnp.where(stiff, shapes.T @ force / jnp.where(stiff, squares, 1.0), 0.0)
     lengths = jnp.where(model.layout.turns, 0.0, jnp.abs(moves @ moved))
     return jnp.where(jnp.any(stiff), first, jnp.nan), jnp.where(
         jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan

@@ -6,8 +6,6 @@ A leaf is x f, where x is the value of the first leaf: bounds a <= x f <= b are 
 exchange sides for f < 0.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable

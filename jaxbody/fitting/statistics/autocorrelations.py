@@ -7,8 +7,6 @@ Sources: J. Durbin, The fitting of time-series models, Rev. Inst. Int. Stat. 28 
 G. Schwarz, Ann. Stat. 6 (1978) 461; G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ direction changes have no standard error. A parameter at its bound has none eith
 estimated with it fixed there.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

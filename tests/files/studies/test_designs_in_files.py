@@ -11,7 +11,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.files.model_files import toml_of, values_of
-from jaxbody.files.studies.design_quantities import QUANTITIES
+from jaxbody.files.studies.design_builders import QUANTITIES
 
 DESIGN = """
 [sensors]
