@@ -376,9 +376,7 @@ class StudyBuilder:
     ) -> None:
         """Check that the free paths are parameters, except paths that may refer to experiments that
         could not be built, `failed`."""
-        free = given.get("free", [])
-        paths = [free] if isinstance(free, str) else free
-        checked = [each for each in paths if not _about(each, failed)]
+        checked = [each for each in _listed(given.get("free", ())) if not _about(each, failed)]
 
         def check() -> None:
             with Problems() as problems:

@@ -73,21 +73,6 @@ class PoseSequence:
         return [self.points(*place) for place in zip(thing.between, places, strict=True)]
 
 
-def check_number(modes: Any, number: int, where: str) -> None:
-    """Check that the number of a mode is between 1 and the number of modes. Error: UNKNOWN_MODE."""
-    count = modes.frequency.shape[0]
-    if not 1 <= number <= count:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_MODE",
-                where,
-                f"is {number}; there are modes 1 to {count}",
-                number,
-                f"1 to {count}",
-            )
-        )
-
-
 def mode_title(modes: Any, number: int) -> str:
     """Return number, frequency, damping ratio and kinetic energies of a mode, in two lines."""
     frequency = float(np.asarray(modes.frequency)[number - 1])
@@ -314,8 +299,17 @@ def vibrating(
         phase: phase of the first frame [rad].
 
     Errors: UNKNOWN_MODE, NONFINITE."""
-    model = modes.model
-    check_number(modes, number, "view.number")
+    model, count = modes.model, modes.frequency.shape[0]
+    if not 1 <= number <= count:
+        raise JaxbodyError(
+            Problem(
+                "UNKNOWN_MODE",
+                "view.number",
+                f"is {number}; there are modes 1 to {count}",
+                number,
+                f"1 to {count}",
+            )
+        )
     q = (model.reference if state is None else state).q
     shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
     if not np.isfinite(shape).all():

@@ -14,7 +14,14 @@ from jaxbody.model.layouts import WORLD
 from jaxbody.model.storage import KindTable
 from jaxbody.views.scenes.animations import Animation, DrawnPart, NameLabel, Trail, rod
 from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
-from jaxbody.views.scenes.element_parts import is_link, parts_of_closures, parts_of_elements
+from jaxbody.views.scenes.element_parts import (
+    hub_of,
+    is_link,
+    parts_of_closures,
+    parts_of_elements,
+    parts_of_roads,
+    parts_of_wheel,
+)
 from jaxbody.views.scenes.poses import (
     PoseSequence,
     attaching,
@@ -24,7 +31,6 @@ from jaxbody.views.scenes.poses import (
     places_of,
     size_of_sequence,
 )
-from jaxbody.views.scenes.road_parts import hub_of, parts_of_roads, parts_of_wheel
 from jaxbody.views.scenes.shapes import (
     THICK,
     Mesh,
@@ -191,39 +197,6 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> Iterator[DrawnPart]:
             number = (str(i + 1),) if len(lines) > 1 else ()
             axes = axes_along(np.asarray(axis, float))
             yield DrawnPart(("joints", name, *number), mesh, GRAY, p + R @ point, R @ axes)
-
-
-def ground(
-    points: np.ndarray, up: np.ndarray, right: np.ndarray, size: float
-) -> tuple[DrawnPart, str]:
-    """Return a grid at the height of the lowest of these points (n, 3), and a note with the size of
-    its cells."""
-    cell = 10.0 ** np.floor(np.log10(size / 4))
-    cell *= max(k for k in (1, 2, 5) if k * cell <= size / 4)
-    axes = np.stack([right, np.cross(up, right), up], -1)
-    inside = points @ axes
-    level, wide = inside[:, 2].min() - 0.002 * size, 0.0035 * size
-    first, last = (
-        (np.floor(inside.min(0) / cell) - 1) * cell,
-        (np.ceil(inside.max(0) / cell) + 1) * cell,
-    )
-    lines = []
-    for axis, turn in enumerate((np.eye(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))):
-        other = 1 - axis
-        line = ribbon(np.array([first[axis], last[axis]]), np.zeros(2), wide)
-        lines += [
-            line.placed(np.eye(3)[other] * k + np.array([0, 0, level]), turn)
-            for k in np.arange(first[other], last[other] + 0.5 * cell, cell)
-        ]
-    return DrawnPart(
-        ("ground",),
-        joined(lines),
-        "#d5dae1",
-        np.zeros((1, 3)),
-        axes[None],
-        below=True,
-        framed=False,
-    ), f"cells of the grid {cell:g} m"
 
 
 def up_of(model: Any) -> np.ndarray:
@@ -393,8 +366,35 @@ def animation_of(
 
 def with_ground(animation: Animation) -> Animation:
     """Return the animation with a grid at the height of its lowest point."""
-    part, note = ground(animation.outline(), animation.up, animation.right, animation.size)
-    return replace(animation, parts=(part, *animation.parts), notes=(*animation.notes, note))
+    size, right, up = animation.size, animation.right, animation.up
+    cell = 10.0 ** np.floor(np.log10(size / 4))
+    cell *= max(k for k in (1, 2, 5) if k * cell <= size / 4)
+    axes = np.stack([right, np.cross(up, right), up], -1)
+    inside = animation.outline() @ axes
+    level, wide = inside[:, 2].min() - 0.002 * size, 0.0035 * size
+    first, last = (
+        (np.floor(inside.min(0) / cell) - 1) * cell,
+        (np.ceil(inside.max(0) / cell) + 1) * cell,
+    )
+    lines = []
+    for axis, turn in enumerate((np.eye(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))):
+        other = 1 - axis
+        line = ribbon(np.array([first[axis], last[axis]]), np.zeros(2), wide)
+        lines += [
+            line.placed(np.eye(3)[other] * k + np.array([0, 0, level]), turn)
+            for k in np.arange(first[other], last[other] + 0.5 * cell, cell)
+        ]
+    part = DrawnPart(
+        ("ground",),
+        joined(lines),
+        "#d5dae1",
+        np.zeros((1, 3)),
+        axes[None],
+        below=True,
+        framed=False,
+    )
+    notes = (*animation.notes, f"cells of the grid {cell:g} m")
+    return replace(animation, parts=(part, *animation.parts), notes=notes)
 
 
 def side_by_side(animations: Mapping[str, Animation]) -> Animation:
