@@ -97,10 +97,6 @@ class Program:
         rows, lower, upper = np.reshape(limited, (-1, 3)).T
         return Rows(int(np.argmax(owners == self.minimize)), rows.astype(int), lower, upper)
 
-    def labels(self) -> list[str]:
-        """Return the name of each value."""
-        return labels_of(self.shapes)
-
     def quantities(self, values: np.ndarray) -> Quantities:
         return split(values, self.shapes)
 
@@ -141,7 +137,7 @@ def search_by_workers(
         batch = replace(batch, **sent)
         for i, answer in computed(batch, crew, range(len(searches)), where, report):
             if answer is None:
-                m = len(program.labels())
+                m = len(labels_of(program.shapes))
                 nothing = np.full(m, np.nan), np.full((m, starts.shape[1]), np.nan)
                 searches[i].keep(searches[i].start, *nothing)
             else:
@@ -352,7 +348,7 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
 def not_finite(program: Program, searches: Sequence[Search]) -> JaxbodyError:
     """Return the error for the case that no search could begin: values that are not finite at the
     first start, or derivatives that are not finite where values are. Code: NONFINITE_START."""
-    labels, rows, first = program.labels(), program.rows, searches[0]
+    labels, rows, first = labels_of(program.shapes), program.rows, searches[0]
     if any(rows.finite(search.values) for search in searches):
         given = first.slopes
         bad = [

@@ -13,7 +13,7 @@ from jaxbody.core.arrays import Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
-from jaxbody.design.design_programs import Evaluate, OfQuantities, Program
+from jaxbody.design.design_programs import Evaluate, OfQuantities, Program, labels_of
 from jaxbody.design.searches import one_thread
 from jaxbody.fitting.parameters.spaces import space_of
 from jaxbody.model.models import Model
@@ -132,6 +132,6 @@ def sensitivities(
             np.asarray(0 if finite else Status.NONFINITE.value),
             tuple(space.labels),
             change,
-            quantities=tuple(program.labels()),
+            quantities=tuple(labels_of(program.shapes)),
         )
     )

@@ -22,7 +22,13 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
-from jaxbody.design.design_programs import NamedLimits, Program, Quantities, variables_over
+from jaxbody.design.design_programs import (
+    NamedLimits,
+    Program,
+    Quantities,
+    labels_of,
+    variables_over,
+)
 from jaxbody.design.searches import ACTIVE, CONVERGED, MET, Multipliers, Search, multipliers
 from jaxbody.fitting.parameters.spaces import Space, model_of
 from jaxbody.fitting.parameters.transforms import Positive
@@ -285,7 +291,7 @@ def _status_and_multipliers(search: Search, space: Space) -> tuple[int, Multipli
 def _remedy(program: Program, best: Search, iterations: int, model: Model) -> str:
     """Return advice for a search that has not converged: bounds if a derivative jumps at its end,
     more iterations if it has used all, otherwise more starts or another method."""
-    rows, labels = program.rows, program.labels()
+    rows, labels = program.rows, labels_of(program.shapes)
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
     jumps = jumping(
         lambda u: program(np.clip(u, best.low, best.high))[1][rows.requested], best.u, along
@@ -403,7 +409,7 @@ class ActiveConstraint:
 def _active_constraints(
     program: Program, best: Search, prices: Multipliers
 ) -> list[ActiveConstraint]:
-    rows, space, labels = program.rows, program.space, program.labels()
+    rows, space, labels = program.rows, program.space, labels_of(program.shapes)
     units, constraints = getattr(program.evaluate, "units", {}), []
     for row, lower, upper, price in zip(
         rows.limited, rows.lower, rows.upper, prices.limits, strict=True
@@ -435,7 +441,7 @@ def _active_constraints(
 
 def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
     """Return which limits are violated and by how much, as text."""
-    rows, labels, messages = program.rows, program.labels(), []
+    rows, labels, messages = program.rows, labels_of(program.shapes), []
     for row, lower, upper, scale in zip(
         rows.limited, rows.lower, rows.upper, rows.scale(values), strict=True
     ):

@@ -286,8 +286,7 @@ def arguments_of(
     check_precision(where, model)
     check_potential(where, model)
     drives = drives_of(model, dict(drive), f"{where}.drive")
-    frames = model.layout.frames
-    check_known(wheel.on, f"{where}.wheel.on", frames)
+    check_known(wheel.on, f"{where}.wheel.on", model.layout.frames)
     targets = _targets(drives, over, where)
     if is_concrete(model):
         _check_determined(model, drives, wheel, where, resting)

@@ -252,7 +252,15 @@ def view(
         ]
         own_shapes = _shapes(shapes, models, problems)
         marks = _trails(trails, models, problems)
-        state = _state(at, problems)
+        state = at.state if isinstance(at, Equilibrium | LinearSystem) else at
+        if not isinstance(state, State | None):
+            problems.add(
+                "WRONG_KIND",
+                "view.at",
+                f"is {kind_of(at)}",
+                value=at,
+                limit="a State, an equilibrium or a linearization",
+            )
         seen_from = (
             None if direction is None else concrete(vector(direction, "view.direction", problems))
         )
@@ -427,21 +435,6 @@ def _trails(
             (str(name), frame, concrete(vector(point, f"view.trails['{name}']", problems)))
         )
     return result
-
-
-def _state(at: Any, problems: Problems) -> State | None:
-    if isinstance(at, Equilibrium | LinearSystem):
-        return at.state
-    if at is not None and not isinstance(at, State):
-        problems.add(
-            "WRONG_KIND",
-            "view.at",
-            f"is {kind_of(at)}",
-            value=at,
-            limit="a State, an equilibrium or a linearization",
-        )
-        return None
-    return at
 
 
 def _speed(given: dict[str, Any], speed: float | None) -> float | None:
