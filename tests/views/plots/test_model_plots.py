@@ -14,7 +14,7 @@ from test_plots import nothing_else_is_touched  # noqa: F401
 import jaxbody as jb
 from jaxbody import plots
 from jaxbody.views.scenes.colors import GRAY, INK
-from jaxbody.views.scenes.element_parts import ROD, STEEL
+from jaxbody.views.scenes.element_parts import BAR, STEEL
 
 CORNERS = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}
 
@@ -155,8 +155,8 @@ def test_a_rod_of_a_loop_is_drawn_between_its_ends(figure):
     ax = plots.draw_model(model, view="xy", names=False, ax=figure.subplots())
     for share in (0.2, 0.5, 0.8):
         point = np.array([0.5 * share, 0.2 + 0.1 * share])
-        assert has_color(ax, point, ROD)
-        assert not has_color(ax, point - np.array([0, 0.03]), ROD)
+        assert has_color(ax, point, BAR)
+        assert not has_color(ax, point - np.array([0, 0.03]), BAR)
 
 
 @pytest.mark.long
