@@ -28,6 +28,7 @@ __version__ = "0.1.0"
 
 _MODULES = {  # that are public themselves: families of names
     "closures": "geometry.closures",
+    "control": "vibration.control",
     "design": "design",
     "files": "files",
     "fitting": "fitting",
@@ -79,8 +80,13 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
     "model.elements.elements": ("Element",),
     "model.elements.springs": ("Inerter", "Spring", "SpringDamper"),
     "model.elements.torsions": ("AntiRollBar", "Torsion"),
-    "model.forces": ("ForceElement", "MagneticBearing"),
-    "model.inputs": ("BaseMotion", "Force", "Harmonic", "PointForce", "Sampled"),
+    "model.forces": (
+        "Actuator",
+        "Controller",
+        "ForceElement",
+        "MagneticBearing",
+    ),
+    "model.inputs": ("BaseMotion", "Command", "Force", "Harmonic", "PointForce", "Sampled"),
     "model.joints": ("Ball", "Fixed", "Free", "Guide", "Hinge", "Translation"),
     "model.leaf_paths": ("parameter_paths", "replace"),
     "model.models": ("Model",),

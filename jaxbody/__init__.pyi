@@ -65,9 +65,12 @@ from jaxbody.model.elements.springs import Spring as Spring
 from jaxbody.model.elements.springs import SpringDamper as SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar as AntiRollBar
 from jaxbody.model.elements.torsions import Torsion as Torsion
+from jaxbody.model.forces import Actuator as Actuator
+from jaxbody.model.forces import Controller as Controller
 from jaxbody.model.forces import ForceElement as ForceElement
 from jaxbody.model.forces import MagneticBearing as MagneticBearing
 from jaxbody.model.inputs import BaseMotion as BaseMotion
+from jaxbody.model.inputs import Command as Command
 from jaxbody.model.inputs import Force as Force
 from jaxbody.model.inputs import Harmonic as Harmonic
 from jaxbody.model.inputs import PointForce as PointForce
@@ -98,6 +101,7 @@ from jaxbody.sensors import Velocity as Velocity
 from jaxbody.suspension import presets as presets
 from jaxbody.vibration import backbone_curves as backbone_curves
 from jaxbody.vibration import complex_modes as complex_modes
+from jaxbody.vibration import control as control
 from jaxbody.vibration import frequency_response as frequency_response
 from jaxbody.vibration import linearize as linearize
 from jaxbody.vibration import mode_energies as mode_energies

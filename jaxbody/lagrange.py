@@ -34,7 +34,7 @@ from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
-from jaxbody.model.element_states import apart, holding
+from jaxbody.model.element_states import apart, holding, with_commands
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import gaps_displaced, rank
 from jaxbody.model.joints.element_tables import (
@@ -266,6 +266,24 @@ def force_matrices(
         still, still, still
     )
     return M[0] if M else jnp.zeros_like(K), C, K
+
+
+def command_forces(
+    model: Model, state: State, loads: tuple[Load, ...], drives: tuple[str, ...]
+) -> Float[Array, "n nu"]:
+    """Return the generalized forces on (Delta, y, Xi) per unit of the command of each drive; in the
+    row z' - f of a state, df/du."""
+    layout, base = model.layout, jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    small = jnp.zeros_like(state.v), state.v, base, base
+    now = instant(model, state, jnp.zeros((), state.q.dtype), small, None)
+    inner = jnp.zeros(len(layout.inner_places) - len(layout.first_order), state.q.dtype)
+
+    def forces(u):
+        held = with_commands(apart(model, state.z), dict(zip(drives, u, strict=True)))
+        Q, on_supports = _of_wrenches(model, state, exerted(held, now, loads), *small)
+        return jnp.concatenate([Q, inner, force_rates(held, now), on_supports.ravel()])
+
+    return jax.jacfwd(forces)(jnp.zeros(len(drives), state.q.dtype))
 
 
 # Equilibrium, matrices and motion, which follow by differentiation

@@ -56,8 +56,8 @@ def ports_options(required: bool) -> tuple[Any, ...]:
     """Return the options that name inputs and outputs of a linear system."""
     several: dict[str, Any] = {"action": "append", "required": required, "default": []}
     directions = (
-        "support or body and x, y, z, rx, ry or rz: a motion, or a force or moment; or a load of "
-        "the file, such as an Unbalance"
+        "support or body and x, y, z, rx, ry or rz: a motion, or a force or moment; a load of the "
+        "file, such as an Unbalance; or an actuator or controlled damper: its command"
     )
     places = "body or element and direction, element, or sensor of the file"
     return (

@@ -64,7 +64,7 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
         return (name,)
     of_body = parts[0] in {argument.field for argument in arguments_of(Body)}
     carriers = ("bodies", "supports") if of_body else ("joints",)
-    sections = (*carriers, "elements", "closures", "energies", "dissipations")
+    sections = (*carriers, "elements", "closures", "controllers", "energies", "dissipations")
     section = next(section for section in sections if name in values.get(section, {}))
     table = values[section][name]
     kind = class_of(section, table.get("type"))

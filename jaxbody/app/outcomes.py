@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
 from jaxbody.app.command_options import QUANTITIES
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, check_known
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known
 from jaxbody.core.printed_tables import printed_unit
 
 if TYPE_CHECKING:
     from jaxbody.files.studies.study_files import Study
+
+NO_MODES = (Status.NOT_SYMMETRIC, Status.NONFINITE)  # without natural modes
 
 
 @dataclass
@@ -41,6 +43,7 @@ def check(study: Study, options: argparse.Namespace) -> Outcome:
     parts = {
         "support": model.layout.supports,
         "element": model.element_names + model.force_names,
+        "controller": model.controller_names,
         "load": study.loads,
         "sensor": study.sensors,
         "experiment": study.experiments,
@@ -67,14 +70,25 @@ def _remarks(study: Study) -> tuple[str, ...]:
 
 def modes(study: Study, options: argparse.Namespace) -> Outcome:
     """Compute natural or complex modes at the equilibrium."""
+    from jaxbody.vibration.natural_modes import Modes
+
     lin, remarks = _linear(study)
-    modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
-    energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
+    modes: Any = jb.complex_modes(lin) if options.damped else fitting_modes(lin)
+    energies = [jb.mode_energies(lin)] if options.energies and isinstance(modes, Modes) else []
     return Outcome(
         [modes, *energies, *remarks],
         lambda: jb.plots.draw_mode(lin, modes, options.mode),
         view=lambda: jb.view(modes, number=options.mode, at=lin),
     )
+
+
+def fitting_modes(lin: Any) -> Any:
+    """Return the natural modes, or the complex ones where a matrix is not symmetric, or the static
+    stiffness not finite, as that of integral control."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*(NOT_SYMMETRIC|NONFINITE)")
+        natural = jb.modes(lin)
+    return jb.complex_modes(lin) if int(natural.status) in NO_MODES else natural
 
 
 def _over(study: Study, options: argparse.Namespace) -> tuple[str, str, Any]:
@@ -308,8 +322,11 @@ def report(study: Study, options: argparse.Namespace) -> Outcome:
     response if inputs or outputs are given."""
     import numpy as np
 
+    from jaxbody.model.forces.controllers import is_sampled
+
     path, results = options.out or options.file.with_suffix(".html"), {}
-    for part in options.part or ("model", "plausibility", "equilibrium", "modes"):
+    modes = () if any(map(is_sampled, study.model.forces)) else ("modes",)
+    for part in options.part or ("model", "plausibility", "equilibrium", *modes):
         results |= PARTS[part](study, options)
     if options.input or options.output:
         results["Response"] = response(study, options).results[0]
@@ -327,7 +344,6 @@ def report(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]:
-    from jaxbody.app.reports import fitting_modes
     from jaxbody.vibration.natural_modes import Modes
 
     lin, _ = _linear(study)
@@ -417,10 +433,12 @@ def _ports(
 
 
 def _input(text: str, study: Study, kind: str) -> Any:
-    """Return the input of a text: a load of the file, the motion of a support, "road.z", or a force
-    or moment on a body, "engine.rx"."""
+    """Return the input of a text: a load of the file, the command of a drive, the motion of a
+    support, "road.z", or a force or moment on a body, "engine.rx"."""
     if text in study.loads:
         return study.loads[text]
+    if jb.Command(text).problem(study.model, "") is None:
+        return jb.Command(text)
     name, direction = _place(text, "--input")
     layout = study.model.layout
     check_known(name, "--input", (*layout.supports, *layout.bodies, *study.loads))

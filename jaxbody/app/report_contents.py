@@ -96,6 +96,7 @@ SENTENCES: dict[type, Callable[[Any, Say], list[str]]] = {
                 ("body", model.layout.bodies),
                 ("support", model.layout.supports),
                 ("element", model.owner_names + model.force_names),
+                ("controller", model.controller_names),
             )
             if names
         )
@@ -211,7 +212,9 @@ def inputs(model: Model, words: Words) -> list[PrintedTable]:
                 model,
             )
             for t in (*model.elements, *model.forces, *model.closures)
+            if t.names[0] not in model.controller_names
         ),
+        ("reads to drives", {n: _loop(model[n]) for n in model.controller_names}, model),
     ]
     shown = []
     for head, links, parts in groups:
@@ -230,6 +233,10 @@ def inputs(model: Model, words: Words) -> list[PrintedTable]:
 
 def _kind(part: Any) -> str:
     return type(part).__name__.lower().replace("partial", "function")
+
+
+def _loop(controller: Any) -> str:
+    return f"{', '.join(controller.order)} to {', '.join(controller.drives)}"
 
 
 def _cells(part: Any, words: Words) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import hashlib
 import io
 import platform
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -18,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxbody.app.outcomes import fitting_modes
 from jaxbody.app.report_contents import fitting, inputs, matrices, sentences
-from jaxbody.core.errors import JaxbodyError, Problems, Status
+from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.core.printed_tables import Words, text_in, unit_words
 from jaxbody.core.source_files import check_file, extension_of, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
@@ -27,9 +27,8 @@ from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.validations import Validation
 from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.vibration.damped_modes import ComplexModes, complex_modes
 from jaxbody.vibration.linearizations import Linearization, LinearSystem
-from jaxbody.vibration.natural_modes import ModalResult, Modes, modes
+from jaxbody.vibration.natural_modes import ModalResult
 from jaxbody.views import plots
 from jaxbody.views.plots.plot_units import label_in
 from jaxbody.views.plots.plots_of_results import picture_of
@@ -335,14 +334,6 @@ def _footer(hashes: list[tuple[str, str]], command: str) -> str:
     lines += [f"{escape(name)}: SHA-256 {digest}" for name, digest in hashes]
     lines += [f"Made again by <code>{escape(command)}</code>"] if command else []
     return "<footer>" + "".join(f"<p>{line}</p>" for line in lines) + "</footer>"
-
-
-def fitting_modes(lin: Linearization) -> Modes | ComplexModes:
-    """Return the natural modes, or the complex modes where a matrix is not symmetric."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "(?s).*NOT_SYMMETRIC")
-        natural = modes(lin)
-    return complex_modes(lin) if int(natural.status) == Status.NOT_SYMMETRIC else natural
 
 
 def _of_modes(lin: Linearization) -> Iterator[tuple[str, Any]]:

@@ -206,9 +206,13 @@ NOT_IDENTIFIABLE: the data do not determine all free parameters -> fix one of ea
 NOT_INCREASING: distances do not increase -> sort the points; replace a step by a short ramp
 NOT_POSITIVE: a number or matrix is not positive -> give one that is above 0, or positive
     semidefinite
+NOT_READ: readings do not contain what a feedback needs -> read more, or estimate the states by
+    jb.control.kalman
 NOT_SAVED: a file could not be written -> choose another path
 NOT_SENT: a program cannot be sent to another process -> leave out callbacks, such as
     jax.debug.print
+NOT_STABILIZABLE: a motion that does not decay cannot be controlled, or is not seen -> add a drive
+    or sensor that reaches it
 NOT_STEADY: the motion is not steady: its speeds or its linearized matrices change -> spin about an
     axis of symmetry
 NOT_SYMMETRIC: a matrix is not symmetric; if it is K, a force has no potential -> use complex_modes
@@ -273,6 +277,8 @@ RELAXES: the state of a hysteretic law moves at rest -> derive it from jb.laws.V
 RIGID: a closure's ends cannot move relative to each other -> leave it out, or free one of the
     joints between its ends
 SAG: the sag under gravity is unusual -> check the units of stiffness and length
+SAMPLED: a model has sampled controllers where a continuous system is needed -> leave every= out,
+    with a delay of the sensors and pade= in its place
 SATURATED: a channel stays at its largest value -> measure with a wider range, or leave those
     samples out
 SELF_SPRING: both ends are on one body -> attach them to different bodies or supports
@@ -284,6 +290,7 @@ SINGULAR_K: the stiffness matrix is singular: a motion is not resisted -> constr
 SINGULAR_M: the mass matrix is singular: a motion has no inertia -> give it mass or inertia
 SLOW_COMPILATION: a function took over a minute to compile -> cache programs with
     JAX_COMPILATION_CACHE_DIR; see jb.compile_times
+SLOW_SAMPLING: a controller samples too slowly for the fastest motion of its plant -> shorten every=
 SPRING_COLLAPSED: a spring passes through zero length, where its direction jumps -> keep its ends
     apart, or use a Bushing
 STALE: the state is not an equilibrium of this model: forces are unbalanced -> compute the

@@ -213,6 +213,7 @@ class Status(enum.IntEnum):
     FAR_OFF = 32
     NOISY_INPUT = 33
     NONFINITE_FORCE = 34
+    NOT_STABILIZABLE = 35
 
 
 MESSAGES = {status: CODES[status.name][0] for status in Status}

@@ -36,6 +36,7 @@ from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
 from jaxbody.geometry.points_and_orientations import EulerAngles, direction
 from jaxbody.model.elements.elements import Element
+from jaxbody.model.forces.controllers import ControlLaw
 from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.motions import Motion, Sampled
@@ -49,9 +50,7 @@ from jaxbody.records.records import Record
 from jaxbody.sensors.sensors import Sensor
 
 MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
-PLACE = re.compile(
-    r"(bodies|supports|joints|elements|closures|energies|dissipations)\['(.*?)'\]|(gravity)"
-)
+PLACE = re.compile(rf"({'|'.join(SECTIONS)})\['(.*?)'\]|(gravity)")
 
 
 @dataclasses.dataclass
@@ -178,7 +177,7 @@ class Builder:
                 return law
             case "signal":
                 return self.signal(value, path, words)
-            case "pulse":
+            case "pulse" | "control_law":
                 return self.thing(value, None, path, words)
             case "sensors":
                 return {name: self.thing(x, None, (*path, name), {}) for name, x in value.items()}
@@ -379,7 +378,7 @@ class Builder:
         """Import a user-defined class from an allowed module; if that fails, add a problem and
         return None."""
         kind = self.own_object(name, path)
-        bases = Element | ForceElement | Joint | Closure | Law | Sensor | Signal
+        bases = Element | ForceElement | Joint | Closure | Law | ControlLaw | Sensor | Signal
         if path[0] in ("energies", "dissipations"):
             bases |= eqx.Module
         if kind is None or (inspect.isclass(kind) and issubclass(kind, bases)):
@@ -441,7 +440,7 @@ class Builder:
         place = PLACE.match(problem.where)
         path = tuple(filter(None, place.groups())) if place else ()
         rest = problem.where[place.end() :] if place else f" {problem.where}"
-        return dataclasses.replace(problem, where=self.document.where(path) + rest)
+        return self.placed(dataclasses.replace(problem, where=rest), path, "")
 
 
 def in_words_of_files(text: str) -> str:

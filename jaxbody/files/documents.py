@@ -287,17 +287,25 @@ def _tokens(text: str, skipped: tuple[str, ...]) -> Iterator[Token]:
 
 
 # sections with names that are unique in a model
-SECTIONS = ("bodies", "supports", "elements", "closures", "energies", "dissipations")
+SECTIONS = (
+    "bodies",
+    "supports",
+    "elements",
+    "closures",
+    "controllers",
+    "energies",
+    "dissipations",
+)
 
 
 def set_value(document: Document, text: str) -> None:
     """Set an entry of a document from a text such as "left.stiffness=30 N/mm".
 
-    The path before the equals sign names an entry of a body, support, element or closure, or of
-    another section, such as "motion.road.frequency" or "records.run1.file"; "strut.spring.0" is the
-    first of several laws. The name of a body,
-    support, element or closure may contain * and ?, as in file names: the entry is set in all
-    objects that match and have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    The path before the equals sign names an entry of a body, support, element, closure or
+    controller, or of another section, such as "motion.road.frequency" or "records.run1.file";
+    "strut.spring.0" is the first of several laws. The name of an object of the model may contain *
+    and ?, as in file names: the entry is set in all objects that match and have it. Errors: SYNTAX,
+    UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):

@@ -17,13 +17,15 @@ from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
 from jaxbody.model.forces.aerodynamic_forces import SectionAirloads
+from jaxbody.model.forces.controllers import Controller
+from jaxbody.model.forces.drives import Actuator, ControlledDamper
 from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.forces.magnetic_bearings import MagneticBearing
 from jaxbody.model.forces.rotor_forces import WhirlForce
 from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.loads import EngineTorque, Force, Unbalance
 from jaxbody.model.inputs.motions import AtRest, Harmonic, Sampled
-from jaxbody.model.inputs.port_inputs import BaseMotion, PointForce
+from jaxbody.model.inputs.port_inputs import BaseMotion, Command, PointForce
 from jaxbody.model.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.inputs.signals import Samples, Sine
@@ -45,8 +47,9 @@ from jaxbody.model.laws import (
     spring_laws,
     tabulated_laws,
 )
-from jaxbody.sensors import gauges, instruments, kinematic_sensors
+from jaxbody.sensors import drive_sensors, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
+from jaxbody.vibration.control import laws as control_laws
 
 JOINTS = (
     Free,
@@ -75,6 +78,8 @@ ELEMENTS = (
     MagneticBearing,
     WhirlForce,
     SectionAirloads,
+    Actuator,
+    ControlledDamper,
 )
 CLOSURES = (
     closures.Ball,
@@ -101,10 +106,15 @@ LAWS = (
     hysteresis_laws.LuGre,
     hydraulic_mounts.Hydraulic,
 )
+CONTROL_LAWS = (
+    control_laws.PID,
+    control_laws.Proportional,
+    control_laws.LinearFeedback,
+)
 MOTIONS = (AtRest, Harmonic, Road, PulseMotion)
 PULSES = (HalfSine, Sawtooth, Trapezoid, Triangle)
 LOADS = (Force, Unbalance, EngineTorque)
-INPUTS = (BaseMotion, PointForce)  # inputs of measured responses
+INPUTS = (BaseMotion, PointForce, Command)  # inputs of measured responses
 SENSORS = (
     kinematic_sensors.Position,
     kinematic_sensors.Velocity,
@@ -126,11 +136,15 @@ SENSORS = (
     gauges.LaserDistance,
     instruments.BodyPose,
     instruments.Orientation,
+    drive_sensors.DriveCommand,
+    drive_sensors.DriveForce,
 )
 TYPES = {
     kind.__name__: kind
-    for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)
+    for group in (JOINTS, ELEMENTS, LAWS, CONTROL_LAWS, MOTIONS, PULSES, LOADS, INPUTS, SENSORS)
+    for kind in (*group, Controller, Sine)
 }
+OF_ELEMENTS = (instruments.OfElement, drive_sensors.DriveSensor, Command)  # `on` names an element
 CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some share names with joints
 # objects made from channels of a record
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
@@ -161,6 +175,12 @@ PLAIN_SCHEMAS: dict[str, dict[str, Any]] = {  # by the roles of arguments
     "own": OWN,
     "direction": DIRECTION,
     "sensors": {"type": "object", "additionalProperties": {"$ref": "#/$defs/sensor"}},
+    "elements": {
+        "oneOf": [
+            {"type": "string", "name_of": "element"},
+            {"type": "array", "items": {"type": "string", "name_of": "element"}},
+        ]
+    },
     "of_input": {
         "oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]
     },
@@ -173,6 +193,7 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers, contacts and forces by name.",
     "closures": "Joints and rods that close loops, and couplings of coordinates, by name.",
+    "controllers": "Laws between sensors and actuators or controlled dampers, by name.",
     "energies": (
         "Potential energies of your own by name: functions of frames, classes of an allowed module."
     ),
@@ -185,8 +206,9 @@ class Argument:
     """An argument of a class in a file, and the name of the field that holds it.
 
     `role`: number, own (number in the unit of a quantity or sensor), end (name and point), law,
-    signal, pulse, direction, of_input (direction, or rotation about one), frame, element or
-    coordinate (their names), sensors, word, words, whole (integer) or flag (boolean)."""
+    control_law, signal, pulse, direction, of_input (direction, or rotation about one), frame,
+    element or coordinate (their names), elements (one name or several), sensors, word, words, whole
+    (integer) or flag (boolean)."""
 
     name: str
     role: str
@@ -259,14 +281,21 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
     if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, ForceElement)):
         return "end"
     if name in ("on", "parent", "relative_to"):
-        return "element" if issubclass(kind, instruments.OfElement) else "frame"
+        return "element" if issubclass(kind, OF_ELEMENTS) else "frame"
     if kind is closures.Coupling and name in ("of", "by", "function"):
         return "law" if name == "function" else "coordinate"
     if kind in INPUTS and name in ("axis", "direction"):
         return "of_input"
-    words = {"Law": "law", "Signal": "signal", "Pulse": "pulse", "dict[": "sensors"}
+    words = {
+        "ControlLaw": "control_law",
+        "Law": "law",
+        "Signal": "signal",
+        "Pulse": "pulse",
+        "dict[": "sensors",
+    }
     if metadata.get("static"):
-        words |= {"bool": "flag", "tuple": "words", "int": "whole", "": "word"}
+        several = "elements" if name == "drives" else "words"
+        words |= {"bool": "flag", "tuple": several, "int": "whole", "": "word"}
     for word, role in words.items():
         if word in annotation:
             return role
@@ -335,7 +364,7 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
     """Return the schema of an argument."""
     about = {"description": argument.text} if argument.text else {}
     match argument.role:
-        case "end" | "law" | "signal" | "pulse" as role:
+        case "end" | "law" | "control_law" | "signal" | "pulse" as role:
             words = {"words": dict(argument.words)} if argument.words else {}
             return {"$ref": f"#/$defs/{role}", **about, **words}
         case "frame" | "element" | "coordinate" as role:

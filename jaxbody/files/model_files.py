@@ -33,11 +33,13 @@ from jaxbody.files.schemas import VERSION, checked_values, schema
 from jaxbody.geometry.closures import Equation
 from jaxbody.geometry.points_and_orientations import IDENTITY
 from jaxbody.model.elements.bushings import FramePair
+from jaxbody.model.forces.controllers import ControlLaw
 from jaxbody.model.inputs.signals import Constant, Sine
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.laws.laws import Function, Law, Linear, Sum
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, refuse_batch
+from jaxbody.model.storage import with_attributes
 
 IN_LINE = 8  # largest number of items of an array in one line
 SMALL = 3  # largest number of rows of a matrix in one line
@@ -60,6 +62,10 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
     refuse_batch(model, "write_model")
     parts, writer = model.parts(), Writer(allow)
     parts["elements"] = {name: _as_given(model, name) for name in parts["elements"]}
+    parts["controllers"] = {
+        name: with_attributes(x, {"reads": {each: x.reads[each] for each in x.order}})
+        for name, x in parts["controllers"].items()
+    }
     parts["joints"] = {
         name: joint
         for name, joint in parts["joints"].items()
@@ -144,19 +150,19 @@ class Writer:
             else:
                 value = getattr(thing, argument.field, None)
                 value = value.value if isinstance(value, Constant) else value
-                if value is not None and not _same(value, argument.default):
+                if not (value is None or _same(value, argument.default) or np.size(value) == 0):
                     values[argument.name] = self.value(value, argument, f"{where}.{argument.name}")
         return values
 
     def value(self, value: Any, argument: Argument, where: str) -> Any:
         """Return the value of an argument in a file."""
-        if isinstance(value, Law | Sine):
+        if isinstance(value, Law | Sine | ControlLaw):
             return self.law(value, where)
         if argument.role == "sensors":
             return {name: self.table(x, f"{where}.{name}") for name, x in value.items()}
         if argument.role in ("frame", "element", "coordinate", "word", "whole", "flag"):
             return value
-        if argument.role == "words":
+        if argument.role in ("words", "elements"):
             return list(value)
         if not hasattr(value, "dtype"):
             kind = "function" if callable(value) else type(value).__name__
@@ -167,7 +173,7 @@ class Writer:
             return [row[i] for i, row in enumerate(numbers)]
         return numbers
 
-    def law(self, law: Law | Sine, where: str) -> Any:
+    def law(self, law: Law | Sine | ControlLaw, where: str) -> Any:
         """Return the value of a law in a file: a list of laws for a sum, the coefficient for a
         linear law, else a table."""
         if isinstance(law, Sum):

@@ -94,3 +94,9 @@ def inverse_of_three(A: Float[Array, "*#n 3 3"]) -> Float[Array, "*#n 3 3"]:
     a, b, c = A[..., 0, :], A[..., 1, :], A[..., 2, :]
     rows = cross(b, c), cross(c, a), cross(a, b)
     return jnp.stack(rows, -2) / dot(a, rows[0])[..., None, None]
+
+
+def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """Return |d| and d/|d|, both zero with zero derivatives at d = 0."""
+    inverse = inverse_length(d)
+    return dot(d, d) * inverse, d * inverse

@@ -43,6 +43,7 @@ from jaxbody.model.joints.element_tables import (
     inertial_tables,
     reads_accelerations,
     state_rates,
+    states_after_samples,
 )
 from jaxbody.model.joints.kinematics import Motions, frames_at_time, jacobian
 from jaxbody.model.models import Model
@@ -400,6 +401,17 @@ def seen_by_forces(
     if reads_accelerations(model):
         return dynamics_of(model, motions, loads).accelerated(t, state)
     return frames_at_time(model, motions, t, state)
+
+
+def after_samples(
+    dynamics: Dynamics, t: Float[Array, ""], y: Float[Array, "ny"]
+) -> Float[Array, "ny"]:
+    """Return y after the samples that controllers take at time t."""
+    state = dynamics.unpack(y, t)
+    held = holding(dynamics.model, state.z)
+    now = seen_by_forces(held, dynamics.motions, dynamics.loads, t, state)
+    z = states_after_samples(held, now)
+    return jnp.asarray(y).at[len(y) - len(z) :].set(z)
 
 
 def acceleration(

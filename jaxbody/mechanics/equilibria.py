@@ -331,7 +331,7 @@ class Equilibrium(Labeled, Result):
             )
         ]
         states = [
-            (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
+            (f"{name} [{unit}]" if unit else name, tables.without_dust(self.state.z[..., i]))
             for i, (name, unit) in enumerate(zip(layout.states, layout.z_units, strict=True))
         ]
         note = self.message(Equilibrium._known) if is_concrete(self.status) else ""

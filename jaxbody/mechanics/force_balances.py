@@ -7,7 +7,7 @@ balance of forces, while loads are raised and the imbalance of the start is remo
 f are the rates of the states z of force elements at rest. A state that has no influence, or whose
 rate at rest is zero whatever the states are, keeps its value. An equilibrium is stable if no pole
 of its small motions grows; it flutters where a pair of poles grows, and diverges where a real one
-does.
+does; of sampled controllers stability is not counted.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ from jaxbody.model.element_states import (
     rest_states,
     with_force_states,
 )
+from jaxbody.model.forces.controllers import is_sampled
 from jaxbody.model.joints.closure_tables import gaps_at
 from jaxbody.model.joints.element_tables import at_rest, force_rates
 from jaxbody.model.joints.kinematics import Coordinates
@@ -265,7 +266,7 @@ def from_start(
         frozen, applied, start, force_states(frozen.model), max_steps
     )
     growing, singular = jnp.zeros(2, int), jnp.array(False)
-    if stability and frozen.model.layout.nv:
+    if stability and frozen.model.layout.nv and not any(map(is_sampled, given.forces)):
         growing, singular = growing_poles(holding_forces(frozen, z), given, q, applied)
     elements = jnp.isfinite(slope(configuration_at(frozen, start, base=False))).all()
     status = jnp.select(

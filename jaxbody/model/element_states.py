@@ -19,7 +19,8 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.fields import resolved, words_along
 from jaxbody.geometry.frames import Pose
-from jaxbody.model.forces.force_elements import state_units_of
+from jaxbody.model.forces.controllers import is_sampled
+from jaxbody.model.forces.drives import Actuator
 from jaxbody.model.laws.law_states import Apart, Held, Relaxed, memories, with_states
 from jaxbody.model.laws.memory_laws import Memory
 from jaxbody.model.layouts import CoordinateBlock
@@ -43,23 +44,18 @@ def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
 
 def blocks_of_forces(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
     """Return the blocks of the force elements with states, in the order of their tables."""
-    return tuple(
-        CoordinateBlock(
-            name,
-            type(table.rows),
-            (),
-            (),
-            (),
-            False,
-            states,
-            state_units_of(table.rows),
-            ("first order",) * len(states),
-            ("",) * len(states),
-        )
-        for table in tables
-        for name in table.names
-        if (states := table.rows.states)
-    )
+    blocks = []
+    for table in tables:
+        if states := table.rows.all_states():
+            names, units = zip(*states, strict=True)
+            roles, none = ("first order",) * len(states), ("",) * len(states)
+            blocks += [
+                CoordinateBlock(
+                    name, type(table.rows), (), (), (), False, names, units, roles, none
+                )
+                for name in table.names
+            ]
+    return tuple(blocks)
 
 
 def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
@@ -97,7 +93,7 @@ def _bound(model: Any, make: Callable[..., Any], *states: Z) -> Any:
             table, start = _with_states(table, make, columns), start + n * width
         tables.append(table)
     held = eqx.tree_at(lambda model: model.elements, model, tuple(tables)) if tables else model
-    if all(table.rows.z is not None for table in model.forces if table.rows.states):
+    if all(table.rows.z is not None for table in model.forces if table.rows.all_states()):
         return held
     _check_given(model, states[0])
     return with_force_states(held, states[0][start:])
@@ -107,7 +103,7 @@ def with_force_states(model: Any, z: Float[Array, "nf"]) -> Any:
     """Return the model with the states z of its force elements."""
     tables, start = [], 0
     for table in model.forces:
-        n, width = len(table.names), len(table.rows.states)
+        n, width = len(table.names), len(table.rows.all_states())
         own, start = z[start : start + n * width].reshape(n, width), start + n * width
         tables.append(_with_force_states(table, own) if width else table)
     return eqx.tree_at(lambda model: model.forces, model, tuple(tables))
@@ -115,7 +111,7 @@ def with_force_states(model: Any, z: Float[Array, "nf"]) -> Any:
 
 def force_states(model: Any) -> Float[Array, "nf"]:
     """Return the states of the force elements of a model that holds them."""
-    parts = [table.rows.z.reshape(-1) for table in model.forces if table.rows.states]
+    parts = [table.rows.z.reshape(-1) for table in model.forces if table.rows.z is not None]
     return jnp.concatenate([jnp.zeros(0, model.gravity.dtype), *parts])
 
 
@@ -123,6 +119,29 @@ def _with_force_states(table: KindTable, z: Float[Array, "n width"]) -> KindTabl
     ranks = jax.tree.unflatten(jax.tree.structure(table.rows), table.ranks)
     ranks = tuple(jax.tree.leaves(with_attributes(ranks, {"z": 1})))
     return KindTable(table.names, table.links, ranks, with_attributes(table.rows, {"z": z}))
+
+
+def with_commands(model: Any, u: dict[str, Array]) -> Any:
+    """Return the model with these commands added to those of its drives."""
+
+    def commanded(table: KindTable) -> KindTable:
+        if not set(u) & set(table.names):
+            return table
+        more = jnp.stack([jnp.asarray(u.get(name, 0.0), model.gravity.dtype) for name in table])
+        return eqx.tree_at(lambda t: t.rows.command, table, table.rows.command + more)
+
+    return eqx.tree_at(lambda model: model.forces, model, tuple(map(commanded, model.forces)))
+
+
+def between_samples(model: Any) -> Any:
+    """Return the model in which states of sampled controllers change at their samples only."""
+
+    def held(table: Any) -> Any:
+        if not is_sampled(table):
+            return table
+        return with_attributes(table, {"rows": with_attributes(table.rows, {"held": True})})
+
+    return with_attributes(model, {"forces": tuple(map(held, model.forces))})
 
 
 def _check_given(model: Any, z: Z) -> None:
@@ -197,9 +216,17 @@ def settled(model: Any, z: Z) -> Any:
 
 def relaxed(model: Any, z: Z | None = None) -> Any:
     """Return the model at rest: coordinates of elements are relaxed; other states are z, by default
-    0."""
+    0; limits of rates, which are zero at rest, are left out, as beyond them a rate has no slope."""
     if z is None or not z.shape[-1]:
         z = jnp.zeros(model.layout.nz, model.gravity.dtype)
+    tables = enumerate(model.forces)
+    limited = [i for i, t in tables if isinstance(t.rows, Actuator) and t.rows.rate is not None]
+    if limited:
+        model = eqx.tree_at(
+            lambda model: [model.forces[i].rows.rate for i in limited],
+            model,
+            replace_fn=lambda rate: jnp.full_like(rate, jnp.inf),
+        )
     return _bound(model, Relaxed, z)
 
 

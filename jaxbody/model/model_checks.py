@@ -21,6 +21,7 @@ from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter
 from jaxbody.model.elements.torsions import Torsion
 from jaxbody.model.elements.user_energies import DrawnAt
+from jaxbody.model.forces.drives import CommandedForce
 from jaxbody.model.layouts import WORLD, Layout
 from jaxbody.model.storage import KindTable
 
@@ -261,6 +262,6 @@ def warn_of_oddities(bodies, elements) -> None:
 
 
 CHECKS = {
-    LineElement | Inerter | Rod: _check_length,
+    LineElement | Inerter | CommandedForce | Rod: _check_length,
     FramePair | Torsion: _check_turn,
 }

@@ -32,6 +32,7 @@ from jaxbody.model.elements.user_energies import (
     own_functions,
     unwrapped,
 )
+from jaxbody.model.forces.controllers import Controller, check_drives
 from jaxbody.model.forces.force_elements import ForceElement, check_force
 from jaxbody.model.joints.joints import Free, Joint
 from jaxbody.model.joints.kinematics import (
@@ -62,6 +63,7 @@ KINDS = {
     "elements": (Element, ForceElement),
     "joints": Joint,
     "closures": Closure,
+    "controllers": Controller,
 }
 OWN_FUNCTIONS = {"energies": OwnEnergy, "dissipations": OwnDissipation}
 CLOSED = 1e-6  # relative to the largest distance of a point: a loop with a smaller gap is closed
@@ -80,6 +82,7 @@ class Model(tables.Printed, eqx.Module):
         elements: {name: element, or a ForceElement, which has no potential}
         joints: {name of the body that the joint carries: joint}; a body without a joint is free
         closures: {name: closure}, which close loops of joints: `jb.closures`
+        controllers: {name: controller}, laws between sensors and actuators: `jb.control`
         gravity: [m/s2], in world axes
         energies: {name: V(frames) [J]}, each an equinox.Module, whose numbers have paths, or a
             function. `frames["body"]` is a pose with p, R and point(x), of a body, a support or
@@ -123,6 +126,7 @@ class Model(tables.Printed, eqx.Module):
         elements: Mapping[str, Element | ForceElement] | None = None,
         joints: dict[str, Joint] | None = None,
         closures: dict[str, Closure] | None = None,
+        controllers: dict[str, Controller] | None = None,
         gravity=(0, 0, 0),
         energies: dict[str, Any] | None = None,
         dissipations: dict[str, Any] | None = None,
@@ -133,6 +137,7 @@ class Model(tables.Printed, eqx.Module):
             "elements": (elements, "name: jb.Spring(...)"),
             "joints": (joints, "name: jb.Hinge(...)"),
             "closures": (closures, "name: jb.closures.Ball(...)"),
+            "controllers": (controllers, "name: jb.Controller(...)"),
             "energies": (energies, "name: a function of frames"),
             "dissipations": (dissipations, "name: a function of frames"),
         }
@@ -146,8 +151,8 @@ class Model(tables.Printed, eqx.Module):
         groups = {
             group: of_kind(problems, group, parts[group], kind) for group, kind in KINDS.items()
         }
-        bodies, supports, elements, joints, closures = groups.values()
-        check_links(problems, **groups)
+        bodies, supports, elements, joints, closures, controllers = groups.values()
+        check_links(problems, bodies, supports, elements, joints, closures)
         gravity = vector(gravity, "gravity", problems)
         drawn = {WORLD: NOWHERE} | {
             name: (each.position, each.orientation) for name, each in (supports | bodies).items()
@@ -159,9 +164,11 @@ class Model(tables.Printed, eqx.Module):
         check_laws(problems, elements)
         forces = {name: x for name, x in elements.items() if isinstance(x, ForceElement)}
         elements = {name: x for name, x in elements.items() if name not in forces}
+        check_drives(problems, controllers, forces)
+        forces |= {name: functions_as_nodes(x) for name, x in controllers.items()}
         for group, kind in OWN_FUNCTIONS.items():
             elements |= own_functions(problems, group, kind, parts[group], drawn)
-        check_reference(problems, drawn, {"elements": elements, "closures": closures})
+        check_reference(problems, drawn, {"elements": elements | forces, "closures": closures})
         problems.raise_if_any()
         joints = {name: joints.get(name, Free()) for name in bodies}
         parents = tuple(joint.parent for joint in joints.values())
@@ -188,8 +195,9 @@ class Model(tables.Printed, eqx.Module):
         self.independent = independent_speeds(self)
         with Problems() as problems:
             for name, force in forces.items():
-                check_force(problems, f"elements[{name!r}]", force, self)
-        warn_of_oddities(bodies, elements | forces)
+                group = "controllers" if name in controllers else "elements"
+                check_force(problems, f"{group}[{name!r}]", force, self)
+        warn_of_oddities(bodies, {k: x for k, x in (elements | forces).items() if x.between})
         warn_of_points(
             {
                 name: body
@@ -202,7 +210,8 @@ class Model(tables.Printed, eqx.Module):
     def names(self) -> tuple[str, ...]:
         """All names of bodies, supports, elements, energies, dissipations and closures."""
         frames = self.layout.bodies + self.layout.supports
-        return frames + self.owner_names + self.force_names + self.closure_names
+        forces = self.force_names + self.controller_names
+        return frames + self.owner_names + forces + self.closure_names
 
     @property
     def element_names(self) -> tuple[str, ...]:
@@ -211,7 +220,13 @@ class Model(tables.Printed, eqx.Module):
     @property
     def force_names(self) -> tuple[str, ...]:
         """The names of the elements without a potential."""
-        return tuple(name for table in self.forces for name in table.names)
+        controllers = self.controller_names
+        return tuple(n for table in self.forces for n in table.names if n not in controllers)
+
+    @property
+    def controller_names(self) -> tuple[str, ...]:
+        tables = [table for table in self.forces if isinstance(table.rows, Controller)]
+        return tuple(name for table in tables for name in table.names)
 
     @property
     def energy_names(self) -> tuple[str, ...]:
@@ -261,6 +276,7 @@ class Model(tables.Printed, eqx.Module):
             "supports": self.layout.supports,
             "elements": self.element_names + self.force_names,
             "closures": self.closure_names,
+            "controllers": self.controller_names,
         }
         parts = {group: {name: self[name] for name in each} for group, each in names.items()}
         joints = {name: self.joint(name) for name in self.layout.bodies}
@@ -288,7 +304,8 @@ class Model(tables.Printed, eqx.Module):
         shown = [
             tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)
         ]
-        for table in (*self.elements, *self.forces):
+        forces = (table for table in self.forces if not isinstance(table.rows, Controller))
+        for table in (*self.elements, *forces):
             columns, kind = self._columns(table), type(self[table.names[0]]).__name__.lower()
             own = isinstance(table.rows, OfFrames)
             kind = "function" if kind == "partial" else kind
@@ -308,11 +325,14 @@ class Model(tables.Printed, eqx.Module):
             for t in self.closures
             for n, link in zip(t.names, t.links, strict=True)
         ]
-        return (
-            [*shown, tables.PrintedTable("", ("closure", "kind", "from", "to"), rows)]
-            if rows
-            else shown
-        )
+        closures = tables.PrintedTable("", ("closure", "kind", "from", "to"), rows)
+        rows = [
+            (n, ", ".join(x.order), ", ".join(x.drives), type(x.law).__name__, x.every)
+            for n, x in ((name, self[name]) for name in self.controller_names)
+        ]
+        heads = ("controller", "reads", "drives", "law", "every [s]")
+        controllers = tables.PrintedTable("", heads, rows)
+        return [*shown, *(table for table in (closures, controllers) if table.rows)]
 
     def _columns(self, table: KindTable) -> dict[str, str]:
         """Return the fields of elements that are printed, with their column headings: laws, numbers

@@ -12,6 +12,7 @@ import numpy as np
 from jaxbody.core.arguments import kind_of
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.model.forces.controllers import check_continuous
 from jaxbody.model.layouts import WORLD
 from jaxbody.model.models import Model, refuse_batch
 from jaxbody.model.states import State
@@ -94,6 +95,13 @@ def check_moves(where: str, model: Model) -> None:
                 "Free a body; jb.equilibrium gives the forces on supports.",
             )
         )
+
+
+def check_small_motions(where: str, model: Model) -> None:
+    """Check that a model has small motions: precision, moving coordinates that are independent and
+    no sampled controllers. Errors: those of the checks below, SAMPLED."""
+    for check in (check_precision, check_moves, check_independent, check_continuous):
+        check(where, model)
 
 
 def check_memory(where: str, model: Model, frequencies: int = 0) -> None:

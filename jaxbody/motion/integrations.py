@@ -15,8 +15,10 @@ import optimistix
 from jaxbody.core.arrays import Array, rows_or_nan
 from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Status
-from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
+from jaxbody.mechanics.closed_loops import ClosedLoops, after_samples, dynamics_of
 from jaxbody.mechanics.dynamics import Dynamics
+from jaxbody.model.element_states import between_samples
+from jaxbody.model.forces.controllers import check_continuous, is_sampled, next_sample
 from jaxbody.model.inputs.signals import kinks_of
 from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
@@ -29,7 +31,7 @@ from jaxbody.motion.trajectories import Trajectory
 from jaxbody.numerics.adjoints import BlockAdjoint, Driven, Lasting, Projected, Unstarted, Watched
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
-from jaxbody.numerics.runge_kutta_steps import TRIAL, first_length
+from jaxbody.numerics.runge_kutta_steps import TRIAL, Jumps, first_length
 
 # least local error; below it steps in float32 become shorter without a gain in accuracy
 FINEST = {"float64": 0.0, "float32": 1.5e-5}
@@ -64,8 +66,19 @@ def _projected(u, y, saddle, dynamics: ClosedLoops) -> Array:
     return dynamics.closer(u, y, saddle)
 
 
+def _after_samples(t, y, dynamics: Dynamics) -> Array:
+    return after_samples(dynamics, t, y)
+
+
+def _next_sample(t, dynamics: Dynamics) -> Array:
+    return next_sample(dynamics.model, t)
+
+
 MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
 LOOPS = Driven(_drive, _driven_on_closures, _projected)
+SAMPLES = Jumps(_after_samples, _next_sample)
+SAMPLED_MOTION = Driven(_drive, _driven, None, SAMPLES)
+SAMPLED_LOOPS = Driven(_drive, _driven_on_closures, _projected, SAMPLES)
 
 
 @program_with(lambda model, times, *_: options_of_motion(model, times))
@@ -90,7 +103,8 @@ def integrate(
     motions_after, loads_after = (
         tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)
     )
-    dynamics = dynamics_of(model, motions_after, loads_after, equations)
+    sampled = any(map(is_sampled, model.forces))
+    dynamics = dynamics_of(between_samples(model), motions_after, loads_after, equations)
     if initial is None:
         initial = dynamics.coordinates.reference
     else:
@@ -106,10 +120,15 @@ def integrate(
     )
     in_blocks = by_default or isinstance(adjoint, BlockAdjoint)
     form, term = dynamics, LOOPS if model.closures else MOTION
+    if sampled:
+        if not in_blocks or isinstance(stepsize_controller, CONSTANT):
+            check_continuous("simulate with a solver or steps of your own", model)
+        term = SAMPLED_LOOPS if model.closures else SAMPLED_MOTION
     if isinstance(solver, Gauss):
         _check_for_gauss(model)
         form, term = Canonical(dynamics), CANONICAL
     y0 = form.pack(initial, times[0])
+    y0 = after_samples(dynamics, times[0], y0) if sampled else y0
     solver = solver or diffrax.Dopri8()
     controller = _after(given[0], stepsize_controller)
     tolerances = (

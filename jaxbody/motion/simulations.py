@@ -15,11 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import (
-    check_kind,
     check_one_of,
     checked_dict,
-    positive_number,
-    whole_number,
 )
 from jaxbody.core.arrays import (
     Array,
@@ -35,10 +32,10 @@ from jaxbody.core.arrays import (
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
-from jaxbody.mechanics.closed_loops import rates, state_slopes
+from jaxbody.mechanics.closed_loops import rates
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
-from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.quasi_static_states import Rest, as_initial, initial_state_of
+from jaxbody.model.forces.controllers import check_continuous
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
 from jaxbody.model.joints.kinematics import Chart, Motions
@@ -46,15 +43,18 @@ from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_moves, check_precision, check_state, unattached
 from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
-from jaxbody.motion.integrations import CONSTANT, integrate
+from jaxbody.motion.integrations import integrate
+from jaxbody.motion.step_checks import (
+    check_steps,
+    most_steps,
+    signals_of_run,
+    warn_of_long_steps,
+    warn_of_slow_sampling,
+    warn_of_what_steps_pass_over,
+)
 from jaxbody.motion.trajectories import Trajectory
-from jaxbody.numerics.eigenproblems import companion
-from jaxbody.numerics.gauss_collocations import Gauss
 
 MAX_STEPS = 100_000  # or PER_SAMPLE times the number of samples, if that is more
-# steps per sample, rejected ones included, for a recorded input with noise in every sample at rtol
-# 1e-8
-PER_SAMPLE = 30
 # number of rejected steps, and their ratio to accepted ones, from which a jump of a force is
 # suspected; a jump costs 18 rejected steps at rtol 1e-3, 30 to 90 by default
 MANY, OFTEN = 15, 0.15
@@ -64,14 +64,6 @@ FAR = 1e6
 # gap of an initial state, relative to the size of the model or to the largest speed, above which it
 # is moved onto the closures with a warning
 OPEN = 1e-6
-# largest product of step and rate for which the classical Runge-Kutta method is stable; diffrax's
-# explicit solvers are similar
-STABLE = 2.8
-KINDS = {  # argument: (class of diffrax, example for messages)
-    "solver": (diffrax.AbstractSolver, "diffrax.Tsit5()"),
-    "stepsize_controller": (diffrax.AbstractStepSizeController, "diffrax.ConstantStepSize()"),
-    "adjoint": (diffrax.AbstractAdjoint, "diffrax.ForwardMode()"),
-}
 
 
 def simulate(
@@ -200,13 +192,15 @@ def simulate(
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
     # as arrays, because Python numbers would be constants of the program
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))
-    _warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
+    warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
+    start = model.reference if initial is None else initial
+    warn_of_slow_sampling(model, start)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(
         model, initial, step
     ):
-        _warn_of_long_steps(
+        warn_of_long_steps(
             model,
-            model.reference if initial is None else initial,
+            start,
             float(step),  # pyright: ignore[reportArgumentType]
             solver,  # pyright: ignore[reportArgumentType]
         )
@@ -320,118 +314,6 @@ def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
         ) from None
 
 
-def most_steps(samples: int, least: int) -> int:
-    """Return the number of steps allowed by default, for this number of samples."""
-    return max(least, PER_SAMPLE * samples)
-
-
-def check_steps(
-    solver: diffrax.AbstractSolver | None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None,
-    dt0: Any,
-    rtol: Any,
-    max_steps: Any,
-    where: str,
-    adjoint: diffrax.AbstractAdjoint | None = None,
-) -> int | None:
-    """Check that solver, controller and adjoint are diffrax objects, that Gauss has constant steps
-    with dt0, and that rtol and dt0 are positive. Return max_steps as an integer, or None if it is
-    not given."""
-    with Problems() as problems:
-        given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
-        for name, (kind, example) in KINDS.items():
-            wanted = f"a diffrax object, such as {example}"
-            check_kind(given[name], (kind, type(None)), f"{where}.{name}", wanted, problems)
-        if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(
-            stepsize_controller, CONSTANT
-        ):
-            problems.add(
-                "WRONG_GRADIENT",
-                f"{where}.adjoint",
-                "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients "
-                "where samples lie on steps",
-                value=adjoint,
-                hint="Use diffrax.DirectAdjoint() or ForwardMode().",
-            )
-        if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-            problems.add(
-                "NO_ERROR_ESTIMATE",
-                f"{where}.solver",
-                "is Gauss, which has no error estimate for a controller",
-                value=solver,
-                hint="Give stepsize_controller=diffrax.ConstantStepSize() and a dt0 of a tenth of "
-                "the shortest period.",
-            )
-        if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
-            problems.add(
-                "NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."
-            )
-        if dt0 is not None:
-            positive_number(dt0, f"{where}.dt0", problems)
-        positive_number(rtol, f"{where}.rtol", problems)
-        steps = (
-            None if max_steps is None else whole_number(max_steps, f"{where}.max_steps", problems)
-        )
-    return steps
-
-
-def _warn_of_long_steps(
-    model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None
-) -> None:
-    """Warn about constant steps that are too long for the fastest small motion about the initial
-    state, y' = A y."""
-    A = (
-        state_slopes(model, initial)
-        if model.layout.nz or model.closures or model.forces
-        else companion(*map(np.asarray, matrices(model, initial)))
-    )
-    fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
-    if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
-        warn(
-            "STEP_TOO_LONG",
-            f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, "
-            f"where RK4 becomes unstable. Take dt0 below {STABLE / fastest:.3g} s, leave the steps "
-            "to the default controller, or use an implicit solver",
-        )
-
-
-def _warn_of_what_steps_pass_over(
-    model: Model, motions: Motions, loads: dict[str, Load], times, controller: Any, dt: Any
-) -> None:
-    """Warn if steps without error control are longer than the time of a motion or load from one
-    kink or change to the next."""
-    if controller is None or isinstance(controller, diffrax.AbstractAdaptiveStepSizeController):
-        return
-    run, steps = (
-        concrete(times),
-        concrete(
-            dt
-            if isinstance(controller, diffrax.ConstantStepSize)
-            else getattr(controller, "ts", [0, np.inf])
-        ),
-    )
-    if run is None or steps is None:
-        return
-    longest = steps if steps.ndim == 0 else np.max(np.diff(steps))
-    for where, signal in _signals_of_run(model, motions, loads):
-        kinks = signal.kinks() if is_concrete(signal) else None
-        if kinks is None:
-            continue
-        known = np.asarray(kinks)
-        known = known[(known >= run[0]) & (known <= run[-1])]
-        gaps = np.diff(known)
-        short = (gaps > 1e-9 * (run[-1] - run[0])) & (gaps < (1 - 1e-6) * longest)
-        if short.any():
-            i = int(np.argmax(short))
-            warn(
-                "STEP_TOO_LONG",
-                f"simulate: steps of {float(longest):.3g} s reach over what {where} does in "
-                f"{gaps[i]:.3g} s from t = {time_text(known[i], run)} s on, and nothing controls "
-                f"their error. Take steps below {gaps[short].min():.3g} s, or the default "
-                "controller",
-            )
-
-
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
     """Return one motion for each support, in the order of the supports."""
     supports = model.layout.supports
@@ -460,24 +342,11 @@ def check_run(
     with Problems() as problems:
         checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None
-    check_covered(checked, _signals_of_run(model, motions, loads), problems)
+    check_covered(checked, signals_of_run(model, motions, loads), problems)
     problems.raise_if_any()
     if initial is not None and not isinstance(initial, Rest):
         check_state(model, initial, "initial")
     return device_array(checked)
-
-
-def _signals_of_run(
-    model: Model, motions: Motions, loads: dict[str, Load]
-) -> list[tuple[str, Any]]:
-    """Return the motions and the signals of the loads, each with its place in messages."""
-    of_motions = [
-        (f"motion['{name}']", motion)
-        for name, motion in zip(model.layout.supports, motions, strict=False)
-    ]
-    return of_motions + [
-        (f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()
-    ]
 
 
 def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -> None:
@@ -584,6 +453,7 @@ def equations_of_motion(
     """
     check_precision("equations_of_motion", model)
     check_moves("equations_of_motion", model)
+    check_continuous("equations_of_motion", model)
     with Problems() as problems:
         motions = problems.gather(lambda: motions_of(model, motion))
         loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))

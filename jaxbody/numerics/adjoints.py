@@ -20,7 +20,13 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import without_derivatives
 from jaxbody.numerics import step_blocks
 from jaxbody.numerics.precisions import reachable
-from jaxbody.numerics.runge_kutta_steps import DEFECT, QUIET, InitialValueProblem, method_of
+from jaxbody.numerics.runge_kutta_steps import (
+    DEFECT,
+    QUIET,
+    InitialValueProblem,
+    Jumps,
+    method_of,
+)
 
 RESULTS = diffrax.RESULTS
 POINTS = 13  # between the ends of a step at which it is checked, besides samples
@@ -33,19 +39,21 @@ class Driven(diffrax.ODETerm):
     each shape, also where diffeqsolve needs only their shapes; give functions that are defined
     once, in a module. `project`: a function (u, y, at_y, args) -> the state nearest to y that
     fulfills the constraints; `driven` then returns (y', at_y), with at_y the values at y that the
-    projection needs; None without constraints."""
+    projection needs; None without constraints. `jumps`: instants at which the state jumps."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
     project: Callable[[Any, Any, Any, Any], Any] | None
+    jumps: Jumps | None
 
     def __init__(
         self,
         drive: Callable[[Any, Any], Any],
         driven: Callable[[Any, Any, Any], Any],
         project: Any = None,
+        jumps: Jumps | None = None,
     ):
-        self.project = project
+        self.project, self.jumps = project, jumps
         self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
         self.vector_field = jax.tree_util.Partial(
             _whole if project is None else _rate_of_whole, self.drive, self.driven
@@ -319,20 +327,18 @@ class BlockAdjoint(diffrax.AbstractAdjoint):
             control = dataclasses.replace(
                 control, dtmin=reachable(1e-13, times.dtype, 1) * (times[-1] - times[0])
             )
-        project = None
-        if self.times is not None and isinstance(within(terms), Driven):
-            drive, rate, project, arguments = (
-                within(terms).drive,
-                within(terms).driven,
-                within(terms).project,
-                args,
-            )
+        project = jumps = None
+        if self.times is not None and isinstance(term := within(terms), Driven):
+            drive, rate, project, jumps = term.drive, term.driven, term.project, term.jumps
+            arguments = args
         else:
             drive, rate, arguments = _time, _rate, (_field(terms, t0, y0, unravel, args), args)
         first = dt0 if self.first is None else self.first
         method = method_of(solver)
         problem = without_derivatives(
-            InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project)
+            InitialValueProblem(
+                drive, rate, method, max_steps, control, first, kinks, project, jumps
+            )
         )
         if self.forward_only:
             ended = step_blocks.solve(problem, arguments, y0, times)

@@ -101,7 +101,7 @@ class InitialValueProblem(NamedTuple):
     needs; None without constraints. `control`: a diffrax.PIDController with tolerances, smallest
     step and limits of step control; None for constant steps; `first`: the first or the constant
     step; `max_steps`: the largest number of steps; `kinks`: ascending times of kinks of the rate,
-    at which steps end."""
+    at which steps end; `jumps`: instants at which the state jumps, None without."""
 
     drive: Callable[[Array, Any], Any]
     rate: Callable[[Any, Array, Any], Array]
@@ -111,6 +111,24 @@ class InitialValueProblem(NamedTuple):
     first: Float[Array, ""] | None = None
     kinks: Float[Array, "nk"] | None = None
     project: Callable[[Any, Array, Any, Any], Array] | None = None
+    jumps: Jumps | None = None
+
+
+class Jumps(NamedTuple):
+    """Instants at which the state jumps; steps end there. `after`: a function (t, y, arguments) ->
+    the state after time t, y itself if t is no such instant; `next`: (t, arguments) -> the next
+    one after t."""
+
+    after: Callable[[Array, Array, Any], Array]
+    next: Callable[[Array, Any], Array]
+
+
+def after_jump(problem: InitialValueProblem, arguments, t, y, f):
+    """Return the state after time t and its rate, from those before it."""
+    if problem.jumps is None:
+        return y, f
+    y = problem.jumps.after(t, y, arguments)
+    return y, rate(problem, arguments, t, y)
 
 
 def rate(problem: InitialValueProblem, arguments, t, y):

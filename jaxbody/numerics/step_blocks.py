@@ -39,6 +39,7 @@ from jaxbody.numerics.runge_kutta_steps import (
     Ahead,
     Course,
     InitialValueProblem,
+    after_jump,
     change_ratio,
     controlled,
     defects,
@@ -328,12 +329,14 @@ def _advance(
 
     def stop(tau):
         """Return the time at which a step from tau must end."""
-        if ends is None:
-            return end
-        return jnp.minimum(
-            end,
-            ends[jnp.searchsorted(ends, tau + NEAR * end, side="right", method="scan_unrolled")],
-        )
+        to = end
+        if ends is not None:
+            after = tau + NEAR * end
+            kink = ends[jnp.searchsorted(ends, after, side="right", method="scan_unrolled")]
+            to = jnp.minimum(to, kink)
+        if problem.jumps is not None:
+            to = jnp.minimum(to, problem.jumps.next(t0 + tau, arguments) - t0)
+        return to
 
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
@@ -394,9 +397,10 @@ def _advance(
         steps = jax.tree.map(
             lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step
         )
+        y1, f1 = after_jump(problem, arguments, t0 + tau1, new.y, new.f)
         tau, y, f = (
             jnp.where(made, new, old)
-            for new, old in ((tau1, tau), (new.y, y), (new.f, jnp.where(trial, f0, f)))
+            for new, old in ((tau1, tau), (y1, y), (f1, jnp.where(trial, f0, f)))
         )
         course, ahead = jax.tree.map(
             lambda new, old: jnp.where(on, new, old), (after, next_ahead), (course, ahead)
@@ -418,7 +422,9 @@ def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: 
     def one(carry, h):
         tau, y, f = carry
         made = step(problem, arguments, t0 + tau, y, f, h)
-        return (tau + h, made.y, made.f), Steps(tau, h, polynomial(problem.method, y, made))
+        after = after_jump(problem, arguments, t0 + tau + h, made.y, made.f)
+        y1, f1 = (jnp.where(h > 0, *x) for x in zip(after, (made.y, made.f), strict=True))
+        return (tau + h, y1, f1), Steps(tau, h, polynomial(problem.method, y, made))
 
     (_, y, f), steps = lax.scan(one, (begun.tau, begun.y, begun.f), lengths)
     return (

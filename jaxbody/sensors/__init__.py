@@ -3,6 +3,7 @@
 from jaxbody.core.compilation.late_imports import late_names
 
 _NAMES = {
+    "drive_sensors": ("DriveCommand", "DriveForce"),
     "gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer"),
     "instruments": (
         "Accelerometer",

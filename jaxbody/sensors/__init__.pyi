@@ -1,5 +1,7 @@
 """What `jaxbody.sensors` offers, written by `python tests/stubs.py`."""
 
+from jaxbody.sensors.drive_sensors import DriveCommand as DriveCommand
+from jaxbody.sensors.drive_sensors import DriveForce as DriveForce
 from jaxbody.sensors.gauges import Displacement as Displacement
 from jaxbody.sensors.gauges import LaserDistance as LaserDistance
 from jaxbody.sensors.gauges import LaserVibrometer as LaserVibrometer

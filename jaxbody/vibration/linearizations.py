@@ -42,10 +42,9 @@ from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import by_name
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import (
-    check_independent,
     check_memory,
-    check_moves,
     check_precision,
+    check_small_motions,
     check_state,
 )
 from jaxbody.model.sizes import scale_of, scaled, size_of
@@ -422,9 +421,7 @@ def linearize(
     >>> float(lin.K[0, 0]), float(lin.M[0, 0])
     (50.0, 2.0)
     """
-    check_precision("linearize", model)
-    check_moves("linearize", model)
-    check_independent("linearize", model)
+    check_small_motions("linearize", model)
     check_memory("linearize", model)
     with Problems() as problems:
         check_one_of(

@@ -26,11 +26,12 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
+from jaxbody.lagrange import command_forces
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
-from jaxbody.model.element_states import apart, settled
-from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
+from jaxbody.model.element_states import apart, settled, with_commands
+from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Command, Input, PointForce
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
@@ -84,7 +85,12 @@ def inputs_of(
 ) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
     """Return names, inputs and units of a dict of inputs; errors are added to `problems`."""
     ports = _checked(
-        model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems
+        model,
+        given,
+        Input,
+        f"{where}.inputs",
+        "{name: BaseMotion, PointForce or Command}",
+        problems,
     )
     return tuple(ports), tuple(ports.values()), tuple(port.unit for port in ports.values())
 
@@ -184,6 +190,7 @@ def rows_of(
     sensors: tuple[Sensor, ...],
     F: Float[Array, "n nu"],
     wrenches: Float[Array, "nu nb 6"],
+    drives: dict[str, int],
 ):
     """Return Y and G of all outputs, and the indices of elements and reactions.
 
@@ -194,7 +201,8 @@ def rows_of(
         sensors: the outputs
         F: generalized force of each input, per unit
         wrenches: force and moment of each input on each body about its origin, in world axes, per
-            unit"""
+            unit
+        drives: {drive: index of the input that is its command}"""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
     def reads_element(sensor: Sensor) -> bool:
@@ -229,7 +237,7 @@ def rows_of(
 
     known = [in_closed_form(sensor) for sensor in sensors]
     others = [sensor for sensor, row in zip(sensors, known, strict=True) if row is None]
-    readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
+    readings = iter(_read_rows(lin, at, twists, others, wrenches, drives) if others else ())
     rows = [next(readings) if row is None else row for row in known]
     return (
         jnp.concatenate([row.Y for row in rows], 1),
@@ -257,7 +265,12 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
 
 
 def _read_rows(
-    lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches
+    lin: Any,
+    at: Configuration,
+    twists: Float[Array, "nf n 6"],
+    sensors: list[Sensor],
+    wrenches: Float[Array, "nu nb 6"],
+    drives: dict[str, int],
 ) -> list[_Rows]:
     """Return the rows of sensors by the derivatives of their readings; accelerations are those of
     x'', so that no equation of motion is solved."""
@@ -266,8 +279,11 @@ def _read_rows(
     n, k, with_mass = len(lin.independent), lin.inner, len(layout.inertial)
     T = None if lin.dependent is None else lin.dependent.whole(lin.inner, layout.nxi)[: layout.nv]
 
-    def held(x, rate) -> Model:
-        """Return the model with displaced coordinates of elements."""
+    def held(x, rate, u) -> Model:
+        """Return the model with displaced coordinates of elements, and with commands."""
+        return with_commands(displaced(x, rate), {name: u[j] for name, j in drives.items()})
+
+    def displaced(x, rate) -> Model:
         if not k:
             return lin.held
         y, y_dot, z, zero = x[n : n + k], rate[n : n + k], lin.state.z, jnp.zeros_like(lin.state.z)
@@ -290,7 +306,7 @@ def _read_rows(
         )
         if any(sensor.reactions for sensor in sensors):
             extra = jnp.tensordot(u, wrenches, 1)
-            now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(
+            now = dynamics_of(held(x, rate, u), (), lin.loads).with_reactions(
                 now, (extra[:, :3], extra[:, 3:])
             )
         return now
@@ -298,8 +314,8 @@ def _read_rows(
     start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
     rest = jax.lax.stop_gradient(moved(*start))
 
-    def readings(*motion):
-        instant, present = moved(*motion), held(*motion[:2])
+    def readings(x, rate, change, u):
+        instant, present = moved(x, rate, change, u), held(x, rate, u)
         return jnp.concatenate(
             [jnp.ravel(sensor.change(present, instant, rest, dynamics.model)) for sensor in sensors]
         )
@@ -342,7 +358,13 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
     if lin.dependent is not None:
         twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))
     F, X, wrenches = _input_matrices(inputs, at.frames, twists, layout)
-    rows, direct, elements, reactions = rows_of(lin, at, twists, sensors, F, wrenches)
+    drives = {port.on: j for j, port in enumerate(inputs) if isinstance(port, Command)}
+    if drives:
+        columns = command_forces(lin.model, lin.state, lin.loads, tuple(drives))
+        if lin.dependent is not None:
+            columns = lin.dependent.whole(lin.inner, layout.nxi).T @ columns
+        F = jnp.asarray(F).at[:, np.array([*drives.values()])].set(columns)
+    rows, direct, elements, reactions = rows_of(lin, at, twists, sensors, F, wrenches, drives)
     orders = tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs)
     return Ports(F, X, rows, direct, chains_of(sensors), orders, elements, reactions)
 
@@ -356,6 +378,15 @@ def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[
             outputs_of(lin.model, outputs, where, problems),
         )
         if lin.slow and len(lin.model.layout.first_order):
+            for name, port in zip(*given[:2], strict=True):
+                if isinstance(port, Command):
+                    problems.add(
+                        "MEMORY",
+                        f"{where}.inputs[{name!r}]",
+                        "acts on states of drives, which have no rows",
+                        value=port,
+                        hint="Give the linear system itself, not its `condensed`.",
+                    )
             for sensor in sensed.sensors:
                 if sensor.reactions and not reads_matrices(sensor, lin.model):
                     problems.add(

@@ -32,9 +32,7 @@ from jaxbody.mechanics.hessians import configuration_at, damping, mass, slope, s
 from jaxbody.model.inputs.motions import AtRest
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import (
-    check_independent,
-    check_moves,
-    check_precision,
+    check_small_motions,
     check_state,
     check_without_memory,
 )
@@ -109,9 +107,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     >>> round(float(lin.G[3, 4]), 9)
     6.0
     """
-    check_precision("linearize_spin", model)
-    check_moves("linearize_spin", model)
-    check_independent("linearize_spin", model)
+    check_small_motions("linearize_spin", model)
     check_without_memory("linearize_spin", model)
     check_state(model, at, "at")
     return warn_if_failed(_linearize_spin(model, at))

@@ -14,6 +14,7 @@ from random_models import models
 
 import jaxbody as jb
 from jaxbody.files.kinds import (
+    CONTROL_LAWS,
     ELEMENTS,
     INPUTS,
     JOINTS,
@@ -447,11 +448,18 @@ def test_every_class_of_the_package_is_in_the_schema():
     def below(kind):
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
-    homes = (jb, jb.laws, jb.joints, jb.inputs, jb.sensors, jb.forces)
+    homes = (jb, jb.laws, jb.joints, jb.inputs, jb.sensors, jb.forces, jb.control)
     public = {getattr(home, name) for home in homes for name in dir(home) if name[0].isupper()}
     wanted = {
         kind
-        for base in (jb.Element, jb.joints.Joint, Law, jb.ForceElement, jb.sensors.Sensor)
+        for base in (
+            jb.Element,
+            jb.joints.Joint,
+            Law,
+            jb.ForceElement,
+            jb.control.ControlLaw,
+            jb.sensors.Sensor,
+        )
         for kind in below(base) & public
     }
     assert len(wanted) > 40 and wanted - set(TYPES.values()) == {
@@ -468,6 +476,8 @@ def test_every_class_of_the_package_is_in_the_schema():
         *LOADS,
         *INPUTS,
         *SENSORS,
+        *CONTROL_LAWS,
+        jb.Controller,
         jb.signals.Sine,
     }
 

@@ -105,6 +105,8 @@ def schema() -> dict[str, Any]:
                 *({"$ref": f"#/$defs/{kind.__name__}"} for kind in kinds.LAWS),
             ],
         },
+        "control_law": one_of(*(kind.__name__ for kind in kinds.CONTROL_LAWS)),
+        "controller": one_of("Controller"),
         "joint": one_of(*(kind.__name__ for kind in kinds.JOINTS)),
         "pulse": one_of(*(kind.__name__ for kind in kinds.PULSES)),
         "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),

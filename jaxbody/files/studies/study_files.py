@@ -59,6 +59,7 @@ class Study(Printed):
         parts = {
             "supports": self.model.layout.supports,
             "elements": self.model.element_names + self.model.force_names,
+            "controllers": self.model.controller_names,
             "motion of": self.motion,
             "loads": self.loads,
             "sensors": self.sensors,

@@ -34,7 +34,8 @@ from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.motion.integrations import integrate
 from jaxbody.motion.sensor_readings import readings
-from jaxbody.motion.simulations import check_covered, check_run, most_steps, motions_of
+from jaxbody.motion.simulations import check_covered, check_run, motions_of
+from jaxbody.motion.step_checks import most_steps
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.records.records import Record
 from jaxbody.records.sampling_checks import warn_of_rails

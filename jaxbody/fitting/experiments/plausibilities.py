@@ -19,6 +19,7 @@ from jaxbody.core.results import Result
 from jaxbody.core.units import EARTH, GRAVITY
 from jaxbody.lagrange import potential_energy
 from jaxbody.mechanics.equilibria import equilibrium_of
+from jaxbody.model.forces.controllers import is_sampled
 from jaxbody.model.joints.kinematics import retract
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision, unattached
@@ -126,7 +127,7 @@ def plausibility(
         DENSITY,
         "are masses in kg and points in meters?",
     )
-    first, sag = (float(x) for x in _scales(linearize(model, model.reference)))
+    first, sag = _scales_at_reference(model)
     if np.isfinite(first):
         note(
             "FREQUENCY",
@@ -190,7 +191,15 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
 def first_frequency(model: Model) -> float:
     """Return the lowest nonzero natural frequency [Hz] at the reference pose; NaN without
     stiffness."""
-    return float(_scales(linearize(model, model.reference))[0])
+    return _scales_at_reference(model)[0]
+
+
+def _scales_at_reference(model: Model) -> tuple[float, float]:
+    """Return what `_scales` does; NaN for sampled controllers, which no linear system has."""
+    if any(map(is_sampled, model.forces)):
+        return np.nan, np.nan
+    first, sag = _scales(linearize(model, model.reference))
+    return float(first), float(sag)
 
 
 @program

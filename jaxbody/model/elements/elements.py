@@ -21,7 +21,7 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import Kind, field, in_domain, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
-from jaxbody.geometry.vectors import cross, dot, inverse_length, product, rotate
+from jaxbody.geometry.vectors import cross, dot, length_and_direction, product, rotate
 
 MEANT = "If this is intended, give allow_negative=True."
 ALLOWED = {
@@ -267,12 +267,6 @@ class LineElement(Element):
         k0, rest, _ = self.split(L)
         force = k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u
         return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
-
-
-def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-    """Return |d| and d/|d|, both zero with zero derivatives at d = 0."""
-    inverse = inverse_length(d)
-    return dot(d, d) * inverse, d * inverse
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:

@@ -17,6 +17,7 @@ from jaxbody.geometry.vectors import (
     cross,
     dot,
     inverse_length,
+    length_and_direction,
     product,
     rotate,
     rotate_back,
@@ -24,7 +25,7 @@ from jaxbody.geometry.vectors import (
     to_rank,
 )
 from jaxbody.model.elements.bushings import FramePair
-from jaxbody.model.elements.elements import Element, LineElement, length_and_direction, turned
+from jaxbody.model.elements.elements import Element, LineElement, turned
 
 DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # de/d(displacement of each frame)
 # Matrices that place h, Q and the components of x and y, with their signs, in a 6 x 6 block

@@ -11,12 +11,12 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.points_and_orientations import ends
+from jaxbody.geometry.vectors import length_and_direction
 from jaxbody.model.elements.elements import (
     MEANT,
     Element,
     LineElement,
     check_signs,
-    length_and_direction,
 )
 from jaxbody.model.laws import law_states, laws
 

@@ -5,6 +5,8 @@ from jaxbody.core.compilation.late_imports import late_names
 
 _NAMES = {
     "aerodynamic_forces": ("SectionAirloads",),
+    "controllers": ("Controller", "ControlLaw"),
+    "drives": ("Actuator", "ControlledDamper"),
     "force_elements": ("ForceElement",),
     "magnetic_bearings": ("MagneticBearing",),
     "rotor_forces": ("WhirlForce",),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import replace
+from math import prod
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -17,24 +18,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import Array, Float
-from jaxbody.core.errors import Problems
+from jaxbody.core.arrays import Array, Float, concrete
+from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import Kind, field
 from jaxbody.geometry.frames import Frame, Wrench
 from jaxbody.geometry.vectors import cross, rotate, rotate_back
+from jaxbody.model.forces.reading_filters import filter_states, filtered
 
 PLAIN = {"kind": Kind(), "words": {}}  # of a field without unit
 
 
 class ForceInputs(eqx.Module):
     """What a force element sees at one instant: its `frames`, in the order of `between`, with p, R,
-    v, w, point(a) and velocity(a); its `readings` by name; its states `z`; the time `t` [s]."""
+    v, w, point(a) and velocity(a); its `readings` by name; its states `z`; the time `t` [s]; the
+    `command` of its controller; and the rates of the states of its readings."""
 
     frames: tuple[Frame, ...]
     readings: dict[str, Array]
     z: Float[Array, "nz"]
     t: Float[Array, ""]
+    command: Float[Array, ""] | float = 0.0
+    filter_rates: Float[Array, "nf"] | None = None
 
     def opposed(self, force: Any, a: Any = (0, 0, 0), b: Any = (0, 0, 0)) -> tuple[Wrench, ...]:
         """Return the wrenches of `force` [N], in world axes, on point b of the second frame, and of
@@ -57,7 +62,8 @@ class ForceElement(Described, eqx.Module):
     Args:
         between: names of the frames on which it acts, or one name
         reads: {name: sensor}, by default none. A force can read the accelerations of supports only,
-            rates can read all. Gains and biases of sensors apply; a lag is a state of your own.
+            rates can read all. Gains and biases of sensors apply, a lag is one more state.
+        pade: order of the Pade approximation of delays of these sensors, whose terms are states
 
     A self-leveling strut: a force that grows with the time integral of the travel.
 
@@ -93,6 +99,7 @@ class ForceElement(Described, eqx.Module):
     )
     # keyword-only, which type checkers see in a field of Equinox alone
     reads: dict[str, Any] | None = eqx.field(default=None, kw_only=True, metadata=PLAIN)
+    pade: int = eqx.field(static=True, default=0, kw_only=True)
     # the present states, where a model holds them
     z: Float[Array, "nz"] | None = eqx.field(default=None, kw_only=True, metadata=PLAIN)
     states: ClassVar[tuple[str, ...]] = ()  # descriptions of the states
@@ -106,6 +113,11 @@ class ForceElement(Described, eqx.Module):
         """Return z', the rates of the states."""
         return jnp.zeros_like(now.z)
 
+    def more_checks(self, model: Any, seen: ForceInputs, without: ForceInputs) -> list[tuple]:
+        """Return more functions to check, [(name, function, inputs, shapes of its results)], with
+        all readings and without those of accelerations that forces cause."""
+        return []
+
     @property
     def points(self) -> tuple[Float[Array, "*rows 3"], ...]:
         """The points of attachment, one in each frame."""
@@ -115,17 +127,38 @@ class ForceElement(Described, eqx.Module):
         """Return the element with the fields that follow from the drawing."""
         return self
 
-    def seen(self, model: Any, now: Any, frames: tuple[Frame, ...], *, rates: bool) -> ForceInputs:
+    def all_states(self) -> tuple[tuple[str, str], ...]:
+        """Return description and unit of each state: its own, then those of its readings."""
+        return (
+            *zip(self.states, (*self.state_units, *[""] * len(self.states)), strict=False),
+            *(
+                (f"{name} filtered {i + 1}", "")
+                for name, sensor in (self.reads or {}).items()
+                for i in range(filter_states(sensor, self.pade) * prod(sensor.shape))
+            ),
+        )
+
+    def seen(
+        self, model: Any, now: Any, frames: tuple[Frame, ...], command: Any = 0.0, *, rates: bool
+    ) -> ForceInputs:
         """Return what its forces, or its rates, see in the frames of a model at an instant."""
-        readings = {}
+        dtype, n = model.gravity.dtype, len(self.states)
+        z = jnp.zeros(n, dtype) if self.z is None else self.z
+        readings, filter_rates, at = {}, [jnp.zeros(0, dtype)], n
         for name, sensor in (self.reads or {}).items():
-            if not rates and refers_to_caused(sensor, model):
-                continue
-            x = sensor.reading(model, now)
-            x = x if sensor.gain is None else sensor.gain * x
-            readings[name] = x if sensor.bias is None else sensor.disturbed(x, sensor.bias)
-        z = jnp.zeros(0, frames[0].p.dtype) if self.z is None else self.z
-        return ForceInputs(frames, readings, z, jnp.asarray(now.t))
+            known = rates or not refers_to_caused(sensor, model)
+            x = sensor.reading(model, now) if known else None
+            if width := filter_states(sensor, self.pade):
+                k = prod(sensor.shape)
+                own, at = z[at : at + k * width].reshape(k, width), at + k * width
+                y, of_filter = filtered(sensor, self.pade, None if x is None else x.ravel(), own)
+                filter_rates += [jnp.stack(of_filter, 1).ravel()] if known else []
+                x = None if y is None else y.reshape(sensor.shape)
+            if x is not None:
+                readings[name] = scaled_reading(sensor, x)
+        return ForceInputs(
+            frames, readings, z[:n], jnp.asarray(now.t), command, jnp.concatenate(filter_rates)
+        )
 
 
 class PointPair(ForceElement):
@@ -154,18 +187,21 @@ class PointPair(ForceElement):
         return (F, cross(rotate(A.R, self.a), F)), (-F, -cross(A.point(self.a) - B.p, F))
 
 
+def scaled_reading(sensor: Any, x: Array) -> Array:
+    """Return a reading after the gain and with the bias of its sensor."""
+    x = x if sensor.gain is None else sensor.gain * x
+    return x if sensor.bias is None else sensor.disturbed(x, sensor.bias)
+
+
 def refers_to_caused(sensor: Any, model: Any) -> bool:
     """Return whether a sensor reads accelerations that forces cause, other than those of supports,
-    which are imposed."""
+    which are imposed, and have no lag before they are read."""
     imposed = ("world", *model.layout.supports)
-    return sensor.needs_accelerations(model) and not (
-        not sensor.reactions and set(sensor.names) <= set(imposed)
+    return (
+        sensor.lag is None
+        and sensor.needs_accelerations(model)
+        and (sensor.reactions or not set(sensor.names) <= set(imposed))
     )
-
-
-def state_units_of(force: Any) -> tuple[str, ...]:
-    """Return the unit of each state of a force element, "" where none is stated."""
-    return (*force.state_units, *[""] * (len(force.states) - len(force.state_units)))
 
 
 def check_force(problems: Problems, where: str, force: ForceElement, model: Any) -> None:
@@ -186,15 +222,17 @@ def check_force(problems: Problems, where: str, force: ForceElement, model: Any)
             continue
         problem = sensor.problem(model, at)
         problems.collected += [] if problem is None else [problem]
-        if sensor.reactions or sensor.lag is not None or sensor.delay is not None:
-            what = "reads reactions" if sensor.reactions else "has a lag or a delay"
+        delay = 0.0 if sensor.delay is None else concrete(sensor.delay)
+        late = sensor.delay is not None and (not force.pade or (delay is not None and delay <= 0))
+        if sensor.reactions or late:
             problems.add(
                 "BAD_CHAIN",
                 at,
-                what,
+                "reads reactions" if sensor.reactions else "has a delay",
                 value=sensor,
-                limit="gain and bias",
-                hint="Make a lag a state of the element; read a LoadCell in place of a Reaction.",
+                limit="gain, bias, lag, and a delay > 0 with pade=",
+                hint="Read a LoadCell in place of a Reaction; give pade=2, the order of the Pade "
+                "approximation, for a delay.",
             )
         twin = next((other for other, x in sensors.items() if eqx.tree_equal(x, sensor)), None)
         if twin is not None:
@@ -210,16 +248,19 @@ def check_force(problems: Problems, where: str, force: ForceElement, model: Any)
         return
     caused = {name for name, sensor in sensors.items() if refers_to_caused(sensor, model)}
     dtype, n = model.gravity.dtype, len(force.between)
-    still = np.zeros(3, dtype)
+    still, zero = np.zeros(3, dtype), np.zeros((), dtype)
     frames = (Frame(still, np.eye(3, dtype=dtype), still, still),) * n
     readings: Any = {name: np.zeros(x.shape, dtype) for name, x in sensors.items()}
-    seen = ForceInputs(frames, readings, np.zeros(len(force.states), dtype), np.zeros((), dtype))
+    z = np.zeros(len(force.states), dtype)
+    seen = ForceInputs(frames, readings, z, zero, zero)
     without = replace(seen, readings={k: x for k, x in readings.items() if k not in caused})
-    for function, inputs, shapes in (
-        (force.forces, without, [(3,)] * (2 * n)),
-        (force.rates, seen, [(len(force.states),)]),
+    for name, function, inputs, shapes in (
+        ("forces", force.forces, without, [(3,)] * (2 * n)),
+        *force.more_checks(model, seen, without),
+        ("rates", force.rates, seen, [(len(force.states),)]),
     ):
-        _check_result(problems, f"{where}.{function.__name__}", function, inputs, shapes, caused)
+        if len(problems.collected) == known:
+            _check_result(problems, f"{where}.{name}", function, inputs, shapes, caused)
 
 
 def _check_result(
@@ -234,6 +275,9 @@ def _check_result(
     readings that only `rates` may have."""
     try:
         out = [x.shape for x in jax.tree.leaves(jax.eval_shape(function, inputs))]
+    except JaxbodyError as error:
+        problems.collected += [replace(problem, where=where) for problem in error.problems]
+        return
     except Exception as error:  # a function of the user may raise anything
         text = f"raises {type(error).__name__}: {(str(error).splitlines() or [''])[0]:.200}"
         if isinstance(error, KeyError) and error.args[0] in caused:
@@ -244,7 +288,7 @@ def _check_result(
                 f"reads accelerations that it causes: {where} -> acceleration -> {reading}",
                 value=error.args[0],
                 limit="positions, velocities, states, accelerations of supports",
-                hint="Read it in `rates`, as the input of a state with a lag.",
+                hint="Read it in `rates`, or give its sensor a lag or its drive a bandwidth.",
             )
         else:
             problems.add("FUNCTION_FAILED", where, text, limit="functions of jax.numpy")
@@ -257,5 +301,5 @@ def _check_result(
             value=out,
             limit=", ".join(map(str, shapes)),
             hint="`forces` returns force and moment for each frame of `between`, three numbers "
-            "each; `rates` one number for each state.",
+            "each; `rates` one number for each state, `command` one for each drive.",
         )

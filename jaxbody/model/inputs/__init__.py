@@ -6,7 +6,7 @@ _NAMES = {
     "base_motions": ("base_motion",),
     "loads": ("EngineTorque", "Force", "Load", "Unbalance"),
     "motions": ("AtRest", "Harmonic", "Motion", "Sampled"),
-    "port_inputs": ("BaseMotion", "PointForce"),
+    "port_inputs": ("BaseMotion", "Command", "PointForce"),
     "pulses": ("HalfSine", "Sawtooth", "Trapezoid", "Triangle"),
     "roads": ("Road",),
     "splines": ("Spline",),

@@ -10,6 +10,7 @@ from jaxbody.model.inputs.motions import Harmonic as Harmonic
 from jaxbody.model.inputs.motions import Motion as Motion
 from jaxbody.model.inputs.motions import Sampled as Sampled
 from jaxbody.model.inputs.port_inputs import BaseMotion as BaseMotion
+from jaxbody.model.inputs.port_inputs import Command as Command
 from jaxbody.model.inputs.port_inputs import PointForce as PointForce
 from jaxbody.model.inputs.pulses import HalfSine as HalfSine
 from jaxbody.model.inputs.pulses import Sawtooth as Sawtooth

@@ -1,5 +1,5 @@
 """Inputs of small motions: the motion of a support along or about one axis, a force or moment on
-a body."""
+a body, the command of a drive."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.points_and_orientations import direction as unit_direction
+from jaxbody.model.forces.drives import CommandedForce
 
 KINDS = ("displacement", "velocity", "acceleration")
 UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
@@ -80,4 +81,26 @@ class PointForce(eqx.Module):
         return None if self.on in known else unknown(self.on, where, known)
 
 
-Input = BaseMotion | PointForce
+class Command(eqx.Module):
+    """An input: a command [N] of a drive, an Actuator or ControlledDamper, in addition to that of
+    its controller.
+
+    >>> jb.Command("actuator").unit
+    'N'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    unit = "N"
+
+    def problem(self, model: Any, where: str) -> Problem | None:
+        return unknown_drive(self.on, model, where)
+
+
+def unknown_drive(name: str, model: Any, where: str) -> Problem | None:
+    """Return the problem of a name that is no drive of the model."""
+    tables = [table for table in model.forces if isinstance(table.rows, CommandedForce)]
+    known = tuple(name for table in tables for name in table.names)
+    return None if name in known else unknown(name, where, known)
+
+
+Input = BaseMotion | PointForce | Command

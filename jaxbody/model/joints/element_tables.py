@@ -14,6 +14,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.model.element_states import end_rows, relaxed, rest_states
+from jaxbody.model.forces.controllers import Controller, followed_at_once, is_sampled
 from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.laws.law_states import Held, Relaxed, memories
@@ -97,16 +98,52 @@ def power(model: Model, acting: Acting, frames: Frame) -> Float[Array, ""]:
     return jnp.sum(F * frames.v) + jnp.sum(M * frames.w)
 
 
-def each_force(model: Model, now: Instant, function, *, rates: bool = False) -> list:
+def each_force(
+    model: Model, now: Instant, function, *, rates: bool = False, tables: Any = None
+) -> list:
     """Return function(force element, what it sees) of the force elements, table by table."""
+    given, none = commands(model, now, rates=rates), jnp.zeros((), now.p.dtype)
 
-    def of(force, *frames):
-        return function(force, force.seen(model, now, frames, rates=rates))
+    def of(force, command, *frames):
+        return function(force, force.seen(model, now, frames, command, rates=rates))
 
     return [
-        jax.vmap(of)(table.rows, *(now[rows] for rows in end_rows(model, table)))
-        for table in model.forces
+        jax.vmap(of)(
+            table.rows,
+            jnp.stack([given.get(name, none) for name in table.names]),
+            *(now[rows] for rows in end_rows(model, table)),
+        )
+        for table in (model.forces if tables is None else tables)
     ]
+
+
+def commands(model: Model, now: Instant, *, rates: bool = True) -> dict[str, Float[Array, ""]]:
+    """Return the commands of all controllers, {drive: command}; without `rates` only those that
+    forces follow at once."""
+    at_once, given = followed_at_once(model), {}
+    for table in model.forces:
+        for name in table.names if isinstance(table.rows, Controller) else ():
+            controller = table.row(name)
+            if rates or at_once & set(controller.drives):
+                u = controller.command(controller.seen(model, now, (), rates=rates))
+                given |= zip(controller.drives, jnp.atleast_1d(u), strict=True)
+    return given
+
+
+def states_after_samples(model: Model, now: Instant) -> Float[Array, "nf"]:
+    """Return the states of force elements after the samples that controllers take at an instant, of
+    a model that holds its states."""
+    parts = [jnp.zeros(0, now.p.dtype)]
+    for table in model.forces:
+        if table.rows.z is not None and is_sampled(table):
+            for name in table.names:
+                controller = table.row(name)
+                seen = controller.seen(model, now, (), rates=True)
+                z = controller.sampled(seen, *controller.instants(now.t))
+                parts.append(jnp.append(z, controller.z[len(z) :]))
+        elif table.rows.z is not None:
+            parts.append(table.rows.z.ravel())
+    return jnp.concatenate(parts)
 
 
 def reads_accelerations(model: Model) -> bool:
@@ -167,7 +204,9 @@ def state_rates(model: Model, now: Instant) -> Float[Array, "nz"]:
 
 def force_rates(model: Model, now: Instant) -> Float[Array, "nf"]:
     """Return z' of the force elements alone."""
-    rates = each_force(model, now, lambda x, now: x.rates(now), rates=True)
+    rates = each_force(
+        model, now, lambda x, now: jnp.append(x.rates(now), now.filter_rates), rates=True
+    )
     return jnp.concatenate([jnp.zeros(0, now.p.dtype), *(part.reshape(-1) for part in rates)])
 
 

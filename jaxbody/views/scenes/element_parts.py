@@ -1,7 +1,7 @@
-"""Elements, closures, tyres and roads as drawn parts: springs as coils that stretch, dampers as
-cylinders with rods, inerters, bushings, torsion springs, anti-roll bars, contacts, forces; rods
-between their balls, balls, pins of hinges, rails and welds; tyres as wheels of their radius, and
-the roads under them. Couplings have no position in space."""
+"""Elements, closures, tyres and roads as drawn parts: springs as coils that stretch, dampers and
+drives as cylinders with rods, inerters, bushings, torsion springs, anti-roll bars, contacts,
+forces; rods between their balls, balls, pins of hinges, rails and welds; tyres as wheels of their
+radius, and the roads under them. Couplings have no position in space."""
 
 from collections.abc import Iterable, Iterator
 from functools import singledispatch
@@ -18,11 +18,18 @@ from jaxbody.model.elements.contacts import Contact, Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.elements.springs import Inerter, Spring, SpringDamper
 from jaxbody.model.elements.torsions import AntiRollBar, Torsion
+from jaxbody.model.forces.drives import CommandedForce, ControlledDamper
 from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.inputs.roads import Road
 from jaxbody.views.scenes.animations import DrawnPart, rod
 from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
-from jaxbody.views.scenes.poses import BUSHING, PoseSequence, named_rows, placed_closures
+from jaxbody.views.scenes.poses import (
+    BUSHING,
+    PoseSequence,
+    drawn_elements,
+    named_rows,
+    placed_closures,
+)
 from jaxbody.views.scenes.shapes import (
     Mesh,
     across,
@@ -51,7 +58,7 @@ def parts_of_elements(sequence: PoseSequence, size: float, up: np.ndarray) -> li
     """Return the parts of all elements but tyres."""
     return [
         part
-        for name, element in named_rows((*sequence.model.attached, *sequence.model.forces))
+        for name, element in drawn_elements(sequence.model)
         if not isinstance(element, Tyre)
         for part in _parts(element, name, sequence.ends(element), sequence, size, up)
     ]
@@ -118,25 +125,42 @@ def _line_element(element: LineElement, name, ends, sequence, size, up) -> Itera
         yield rod(("elements", name, "coil"), coil(radius, thickness, length, turns), STEEL, A, B)
     if damped:
         inner = 0.62 * radius if sprung else 0.8 * radius
-        R, lengths = axes_along_lines(B - A)
-        least, most = 0.95 * float(lengths.min()), float(lengths.max())
-        tube, stem = (
-            min(TUBE * length, least),
-            min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
+        yield from _cylinder_and_rod(("elements", name, "damper"), inner, length, DAMPER, A, B)
+
+
+def _cylinder_and_rod(
+    path: tuple[str, ...], inner: float, length: float, color: str, A: np.ndarray, B: np.ndarray
+) -> Iterator[DrawnPart]:
+    """Yield a rod from one point (n, 3), and a cylinder of this radius and color at the other."""
+    R, lengths = axes_along_lines(B - A)
+    least, most = 0.95 * float(lengths.min()), float(lengths.max())
+    tube, stem = (
+        min(TUBE * length, least),
+        min(max(most - 0.7 * TUBE * length, 0.4 * length), least),
+    )
+    piston = (*path[:-1], "piston")
+    if tube + stem > most:  # rigid parts overlap; else the rod is stretched
+        yield DrawnPart(piston, cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R)
+    else:
+        yield rod(piston, cylinder(0.4 * inner, sides=12), GRAY, A, B)
+    yield DrawnPart(path, cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18), color, B, R)
+
+
+@_parts.register
+def _drive(element: CommandedForce, name, ends, sequence, size, up) -> Iterator[DrawnPart]:
+    """Yield the cylinder and rod of an actuator, or of a damper with its valve."""
+    A, B = ends
+    length = max(float(np.linalg.norm(B[0] - A[0])), 0.02 * size)
+    radius = float(np.clip(SLENDER * length, THIN * size, WIDE * size))
+    valve = isinstance(element, ControlledDamper)
+    path, color = ("elements", name, "cylinder"), DAMPER if valve else COLORS[4]
+    yield from _cylinder_and_rod(path, 0.8 * radius, length, color, A, B)
+    if valve:
+        band, R = (
+            ring(0.8 * radius, 1.1 * radius, -0.3 * length, -0.2 * length),
+            axes_along_lines(B - A)[0],
         )
-        if tube + stem > most:  # rigid parts overlap; else the rod is stretched
-            yield DrawnPart(
-                ("elements", name, "piston"), cylinder(0.4 * inner, 0.0, stem, sides=12), GRAY, A, R
-            )
-        else:
-            yield rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
-        yield DrawnPart(
-            ("elements", name, "damper"),
-            cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18),
-            DAMPER,
-            B,
-            R,
-        )
+        yield DrawnPart((*path[:-1], "valve"), band, COLORS[4], B, R)
 
 
 @_parts.register

@@ -21,6 +21,7 @@ from jaxbody.mechanics.free_motions import moved
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
+from jaxbody.model.forces.drives import CommandedForce
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Coordinates, frames_at_time
@@ -88,6 +89,11 @@ def attaching(model: Model) -> list[KindTable]:
         *model.forces,
         *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation)),
     ]
+
+
+def drawn_elements(model: Model) -> list[tuple[str, Any]]:
+    """Return the elements and forces that have ends, with their names."""
+    return named_rows((*model.attached, *(table for table in model.forces if table.links[0])))
 
 
 def named_rows(tables: Iterable[KindTable]) -> list[tuple[str, Any]]:
@@ -336,7 +342,8 @@ def vibrating(
     # if all points are at origins of bodies, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     share, held = SWING, ""
-    for name, element in named_rows(model.attached):
+    drives = (table for table in model.forces if isinstance(table.rows, CommandedForce))
+    for name, element in named_rows((*model.attached, *drives)):
         reach, stretch = _reach(element, rest, size), _stretch(element, rest, trials) / trial
         if amplitude is None and stretch * share * size > reach * largest:
             share, held = reach * largest / (stretch * size), f", limited by {name}"
@@ -359,7 +366,11 @@ def _reach(element: Any, rest: PoseSequence, size: float) -> float:
     if isinstance(element, FramePair):
         return TOGETHER * BUSHING * size
     ends = rest.ends(element)
-    length = np.linalg.norm(ends[1] - ends[0]) if isinstance(element, LineElement | Tyre) else 0.0
+    length = (
+        np.linalg.norm(ends[1] - ends[0])
+        if isinstance(element, LineElement | Tyre | CommandedForce)
+        else 0.0
+    )
     return STRETCHED * float(length) or np.inf
 
 

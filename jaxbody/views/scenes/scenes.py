@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.model.elements.contacts import Tyre
+from jaxbody.model.forces.drives import CommandedForce
 from jaxbody.model.joints.combined_joints import Combined, Composite, Planar
 from jaxbody.model.joints.joints import Ball, Guide, Hinge
 from jaxbody.model.layouts import WORLD
@@ -25,6 +26,7 @@ from jaxbody.views.scenes.element_parts import (
 from jaxbody.views.scenes.poses import (
     PoseSequence,
     attaching,
+    drawn_elements,
     marks,
     named_rows,
     placed_closures,
@@ -238,7 +240,10 @@ def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
 
 def _along_lines(sequence: PoseSequence) -> list[KindTable]:
     """Return the tables of elements along lines."""
-    return [table for table in sequence.model.elements if hasattr(table.rows, "free_length")]
+    tables = (*sequence.model.elements, *sequence.model.forces)
+    return [
+        x for x in tables if hasattr(x.rows, "free_length") or isinstance(x.rows, CommandedForce)
+    ]
 
 
 def _feet(sequence: PoseSequence, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -453,7 +458,7 @@ def _names_at_middles(sequence: PoseSequence) -> list[NameLabel]:
     model = sequence.model
     named = [
         ("tyres" if isinstance(element, Tyre) and element.radius > 0 else "elements", name, element)
-        for name, element in named_rows((*model.attached, *model.forces))
+        for name, element in drawn_elements(model)
     ]
     named += [
         ("closures", name, closure) for name, closure in placed_closures(model) if is_link(closure)

@@ -1,0 +1,55 @@
+"""Sensors of drives: the command that an actuator or controlled damper gets, and its force."""
+
+from typing import Unpack
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.errors import Problems
+from jaxbody.model.inputs.port_inputs import unknown_drive
+from jaxbody.model.joints.element_tables import commands, each_force
+from jaxbody.sensors.sensors import Chain, Sensor
+
+
+class DriveSensor(Sensor):
+    """The base class of sensors of drives."""
+
+    on: str = eqx.field(static=True, converter=plain)
+    shape, unit = (), "N"
+
+    def __init__(self, on: str, **chain: Unpack[Chain]):
+        with Problems() as problems:
+            self.on = on
+            self.chained(problems, **chain)
+
+    @property
+    def names(self):
+        return ()
+
+    def problem(self, model, where):
+        return unknown_drive(self.on, model, where)
+
+
+class DriveCommand(DriveSensor):
+    """The command [N] of a drive: its own and that of its controller.
+
+    >>> jb.sensors.DriveCommand("actuator").unit
+    'N'
+    """
+
+    def reading(self, model, frames):
+        return model[self.on].command + commands(model, frames).get(self.on, jnp.zeros(()))
+
+
+class DriveForce(DriveSensor):
+    """The force [N] with which a drive pushes its two points apart.
+
+    >>> jb.sensors.DriveForce("actuator").unit
+    'N'
+    """
+
+    def reading(self, model, frames):
+        table = next(table for table in model.forces if self.on in table.names)
+        forces = each_force(model, frames, lambda force, now: force.force(now), tables=(table,))
+        return forces[0][table.names.index(self.on)]

@@ -1,0 +1,41 @@
+"""The quarter car of the reference cases, and an actuator between body and wheel."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+import jaxbody as jb
+
+W = 2.526618726679e-4  # of the road's velocity: class C at 20 m/s
+ROAD = jb.BaseMotion("road", "z", kind="velocity")
+PUSHES = {"body": jb.PointForce("body"), "wheel": jb.PointForce("wheel")}
+OUTPUTS = {
+    "acceleration": jb.Acceleration("body", axis="z"),
+    "stroke": jb.Elongation("suspension"),
+    "tyre": jb.Elongation("tyre"),
+}
+SENSORS = {"stroke": jb.Elongation("suspension"), "speed": jb.Velocity("body", axis="z")}
+Q, R = {"acceleration": 1.0, "stroke": 1e4, "tyre": 1e5}, {"actuator": 1e-6}
+
+
+def linear(stiffness=16000.0, damping=1000.0, wheel=60.0):
+    car = jb.presets.quarter_car(
+        sprung=300.0, unsprung=wheel, stiffness=stiffness, damping=damping, tyre=190000.0
+    )
+    return jb.linearize(car, jb.equilibrium(car))
+
+
+def with_actuator(lin, outputs):
+    """The state space from the road and from a force up on the body and down on the wheel."""
+    space = lin.state_space({"road": ROAD, **PUSHES}, outputs)
+
+    def between(M):
+        return jnp.stack([M[:, 0], M[:, 1] - M[:, 2]], 1)
+
+    return dataclasses.replace(
+        space,
+        B=between(space.B),
+        D=between(space.D),
+        inputs=("road", "actuator"),
+        input_units=("m/s", "N"),
+    )
