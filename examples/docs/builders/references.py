@@ -25,6 +25,7 @@ FAMILIES = (
     "closures.Closure",
     "signals.Signal",
     "laws.Law",
+    "control.ControlLaw",
 )  # members share methods
 # public modules, with their packages
 OPEN = {name: module.split(".")[0] for name, module in jb._MODULES.items()}
@@ -88,6 +89,18 @@ def page(name: str, described: set[type]) -> str:
     found, full = thing(name), f"jaxbody.{name}"
     lines = _title(name)
     if inspect.isclass(found):
+        *_, first = (other for other in EVERY if thing(other) is found)
+        if name != first:  # a second public name, as forces.ControlLaw is of control.ControlLaw
+            return "\n".join(
+                [
+                    *lines,
+                    f"It is :py:class:`{first} <jaxbody.{first}>`:",
+                    "",
+                    f".. autoclass:: {full}",
+                    "   :no-index:",
+                    "",
+                ]
+            )
         lines += [f".. autoclass:: {full}", "", *_members(found, full)]
         return "\n".join(lines)
     lines += [f".. autofunction:: {full}", ""]
