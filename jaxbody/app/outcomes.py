@@ -227,10 +227,8 @@ def _highest_frequency(study: Study, duration: float) -> float:
     parts += [signal for load in study.loads.values() for signal in load.signals()]
     return max(
         (
-            float(
-                np.max(part.frequency + getattr(part, "run_up", 0) * duration)
-                * np.max(getattr(part, "orders", 1))
-            )
+            float(np.max(part.frequency + getattr(part, "run_up", 0.0) * duration))
+            * float(np.max(getattr(part, "orders", 1)))
             for part in parts
             if hasattr(part, "frequency")
         ),

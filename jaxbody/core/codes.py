@@ -277,8 +277,8 @@ RELAXES: the state of a hysteretic law moves at rest -> derive it from jb.laws.V
 RIGID: a closure's ends cannot move relative to each other -> leave it out, or free one of the
     joints between its ends
 SAG: the sag under gravity is unusual -> check the units of stiffness and length
-SAMPLED: a model has sampled controllers where a continuous system is needed -> leave every= out,
-    with a delay of the sensors and pade= in its place
+SAMPLED: a model has sampled controllers where a continuous system is needed -> give their
+    sensors a delay, with pade=
 SATURATED: a channel stays at its largest value -> measure with a wider range, or leave those
     samples out
 SELF_SPRING: both ends are on one body -> attach them to different bodies or supports

@@ -223,7 +223,7 @@ def error_codes() -> str:
     """Return all codes of errors, warnings and statuses as text: what each means, and what to do.
 
     >>> print(jb.error_codes())  # doctest: +ELLIPSIS
-    ALL_NAN               all samples of a record are missing; leave its sensor out, ...
+    ALGEBRAIC_LOOP        a force reads an acceleration that it causes itself; ...
     """
     return "\n".join(f"{code:22}{meaning}; {remedy}" for code, (meaning, remedy) in CODES.items())
 

@@ -95,7 +95,19 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     replaces by others just before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
-    return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore
+    opened = with_open_constants(jaxpr)
+    low = jax.jit(jaxpr_as_fun(opened)).trace(*opened.in_avals).lojax.jaxpr  # pyright: ignore
+    n, inner = len(jaxpr.consts), low.jaxpr
+    closed = inner.replace(
+        constvars=[*inner.invars[:n], *inner.constvars], invars=[*inner.invars[n:]]
+    )
+    return ClosedJaxpr(closed, [*jaxpr.consts, *low.consts])
+
+
+def with_open_constants(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
+    """Return the program with its constants as its first arguments."""
+    inner = jaxpr.jaxpr
+    return ClosedJaxpr(inner.replace(constvars=[], invars=[*inner.constvars, *inner.invars]), [])
 
 
 def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:

@@ -96,7 +96,9 @@ def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
 
 
-def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
+def slow_matrices(
+    M: Square, K: Square, nv: int
+) -> tuple[Float[Array, "nv nv"], Float[Array, "nv nv"]]:
     """Return M and K of Delta alone in slow motions."""
     left, right = following(K.T, nv, len(K) - nv), following(K, nv, len(K) - nv)
     return left.T @ M @ right, left.T @ K @ right

@@ -36,6 +36,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.model.bodies import check_inertia
 from jaxbody.model.elements.user_energies import unwrapped
+from jaxbody.model.forces.controllers import ControlLaw
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.laws.laws import Law
 from jaxbody.model.models import Model, refuse_batch
@@ -346,7 +347,7 @@ def _with_traced(
 
 def _with_parts(model: Model, values: dict[str, Any]) -> Model:
     """Return the model with other bodies, joints, elements, closures or energies, {name: part}, or
-    other laws, {"name.spring": law}."""
+    other laws, {"name.spring": law, "ride.law": law}."""
     refuse_batch(model, "replace")
     parts, problems = model.parts(), Problems()
     for path, value in values.items():
@@ -364,8 +365,8 @@ def _with_parts(model: Model, values: dict[str, Any]) -> Model:
             problems.collected.append(unknown(name, f"replace[{path!r}]", model.names))
         elif not field:
             parts[group][name] = value
-        elif not isinstance(value, Law) or not isinstance(
-            getattr(parts[group][name], field, 0), Law | None
+        elif not isinstance(value, Law | ControlLaw) or not isinstance(
+            getattr(parts[group][name], field, 0), Law | ControlLaw | None
         ):
             problems.add(
                 "UNKNOWN_PATH",

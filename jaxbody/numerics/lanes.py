@@ -38,6 +38,7 @@ from jaxbody.core.jax_internals import (
     reach_of,
     reach_of_while,
     same_operation,
+    with_open_constants,
     without_high_operations,
 )
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
@@ -197,13 +198,10 @@ def in_lanes(
         args = jax.tree.map(jnp.asarray, args)
         traced, out = jax.make_jaxpr(function, return_shape=True)(*args)
         traced = only_what_is_needed(traced)
-        open_jaxpr = traced.jaxpr.replace(
-            constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars]
-        )
         results = _lanes_p.bind(
             *traced.consts,
             *jax.tree.leaves(args),
-            jaxpr=ClosedJaxpr(open_jaxpr, []),
+            jaxpr=with_open_constants(traced),
             reversible=reversible,
             lanes=lanes,
             name=name,

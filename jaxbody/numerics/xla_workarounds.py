@@ -52,6 +52,8 @@ mechanics/equilibrium_solvers.py
                                       memory: equilibria of T4 72 to 48 ms
 vibration/damped_modes.py
     _complex_modes                    LAPACK may run forever on NaN
+vibration/control/regulators.py
+    poles_of                          the same
 vibration/dynamic_matrices.py
     _eliminated [lu_solve]            LAPACK solves one frequency after another
 model/inputs/motions.py

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 
 from jaxbody.core.arguments import plain
 from jaxbody.core.errors import Problems
+from jaxbody.model.forces.controllers import followed_at_once
 from jaxbody.model.inputs.port_inputs import unknown_drive
-from jaxbody.model.joints.element_tables import commands, each_force
+from jaxbody.model.joints.element_tables import commands, each_force, reads_accelerations
 from jaxbody.sensors.sensors import Chain, Sensor
 
 
@@ -30,6 +31,12 @@ class DriveSensor(Sensor):
     def problem(self, model, where):
         return unknown_drive(self.on, model, where)
 
+    def needs_accelerations(self, model):
+        return reads_accelerations(model)
+
+    def follows_commands(self, model) -> bool:
+        return True
+
 
 class DriveCommand(DriveSensor):
     """The command [N] of a drive: its own and that of its controller.
@@ -48,6 +55,12 @@ class DriveForce(DriveSensor):
     >>> jb.sensors.DriveForce("actuator").unit
     'N'
     """
+
+    def needs_accelerations(self, model):
+        return False
+
+    def follows_commands(self, model):
+        return self.on in followed_at_once(model)
 
     def reading(self, model, frames):
         table = next(table for table in model.forces if self.on in table.names)

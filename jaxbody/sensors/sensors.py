@@ -310,6 +310,10 @@ class Sensor(Described, Channel):
         """Return whether the reading on this model needs the accelerations of the frames."""
         return self.accelerations
 
+    def follows_commands(self, model: Model) -> bool:
+        """Return whether the reading follows the commands of controllers at once."""
+        return False
+
     @abstractmethod
     def reading(self, model: Model, frames: Instant) -> Reading:
         """Return the measured quantity at one time, before the chain."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -29,6 +29,8 @@ from jaxbody.model.joints.joints import Ball, Guide, Hinge, Joint
 from jaxbody.model.models import Model
 from jaxbody.suspension.alignment_curves import SuspensionCurves, suspension_curves
 from jaxbody.suspension.wheels import Wheel
+
+S = TypeVar("S", bound="Suspension")
 
 
 class Suspension(eqx.Module):
@@ -70,7 +72,7 @@ class Suspension(eqx.Module):
         """The wheels of the suspension, in the order of its fields."""
         return tuple(part for part in vars(self).values() if isinstance(part, Wheel))
 
-    def moved(self, places: Mapping[str, Any]) -> Self:
+    def moved(self: S, places: Mapping[str, Any]) -> S:
         """Return the suspension with these hard points at other places {name: place [m]}, in the
         model and the wheels: points, axes, lengths of rods. All other numbers remain; a spring
         keeps its compression in the design position. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE,

@@ -30,6 +30,7 @@ def test_a_check_counts_controllers(folder, capsys):
     assert counts in said(capsys, "check sampled.toml")
 
 
+@pytest.mark.long
 def test_equilibrium_and_modes_are_those_of_python(folder, capsys):
     """The actuator holds the body at 1 m, and its force is what the spring lacks."""
     printed = said(capsys, "equilibrium loops.toml")
@@ -61,6 +62,7 @@ def test_the_response_to_a_command_is_that_of_python(folder, capsys):
     np.testing.assert_allclose(1e-3 * found, expected, rtol=3e-3)  # four digits, mm
 
 
+@pytest.mark.long
 def test_a_motion_has_the_readings_of_drives(folder, capsys):
     (folder / "loops.toml").write_text(SAMPLED)
     said(capsys, "simulate loops.toml --duration 0.1 --interval 0.001 --out motion.csv")
@@ -72,6 +74,7 @@ def test_a_motion_has_the_readings_of_drives(folder, capsys):
     assert len(after) > 10 and set(after % 4) <= {0, 1}
 
 
+@pytest.mark.long
 def test_a_report_lists_drives_and_controllers(folder, capsys):
     said(capsys, "report loops.toml --part model --part modes --part motion --duration 0.2 --view")
     page = (folder / "loops.html").read_text()
@@ -87,6 +90,7 @@ def test_a_report_lists_drives_and_controllers(folder, capsys):
         assert text in page
 
 
+@pytest.mark.long
 def test_a_report_of_sampled_controllers_leaves_modes_out(folder, capsys):
     (folder / "loops.toml").write_text(SAMPLED)
     said(capsys, "report loops.toml")

@@ -9,6 +9,7 @@ import jaxbody as jb
 from jaxbody.core.codes import CODES
 
 NOT_CODES = {
+    "PID",
     "ABCDEFGH",
     "ASCE7",
     "CLASS",

@@ -156,7 +156,7 @@ PROBLEMS = [
     (
         SKYHOOK,
         '{type = "LinearFeedback", D = [[1, 2]]}',
-        -4,
+        0,
         "controllers.sky.law.command: reads 1 numbers: speed (allowed: 2)",
     ),
     (

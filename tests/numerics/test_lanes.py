@@ -105,6 +105,17 @@ def test_lanes_are_vmap(function):
     )
 
 
+@pytest.mark.parametrize("method", ["scan_unrolled", "scan"])
+def test_traced_records_are_searched_in_lanes(method):
+    """In JAX 0.12 a search is an operation of its own, which constants of a trace go through."""
+
+    def found(times, t):
+        return vmap_last(lambda t: jnp.searchsorted(times, t, method=method))(t)
+
+    times, t = np.array([0.0, 0.1, 0.5, 0.6, 2.0]), np.array([-1.0, 0.05, 0.55, 0.6, 3.0])
+    np.testing.assert_array_equal(jax.jit(found)(times, t), np.searchsorted(times, t))
+
+
 @pytest.mark.long
 @batches
 def test_derivatives_forward_and_batches_of_batches():

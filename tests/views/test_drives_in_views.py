@@ -35,6 +35,7 @@ def test_drives_are_drawn_along_their_lines(model):
     assert all(np.isfinite(p).all() for p in labels.values())
 
 
+@pytest.mark.long
 def test_a_car_with_drives_moves_and_vibrates(model):
     run = jb.simulate(
         model,

@@ -97,8 +97,7 @@ class Controller(ForceElement):
     law: ControlLaw = field(kw_only=True)
     every: Any = field("s", "positive", kw_only=True)  # None for a continuous law
     delay: Float[Array, ""] | None = field("s", "positive", kw_only=True)
-    # of the readings, as dicts in JAX are sorted by their keys
-    order: tuple[str, ...] = eqx.field(static=True, kw_only=True)
+    order: tuple[str, ...] = eqx.field(static=True, kw_only=True)  # of the readings
     held: bool = eqx.field(static=True, kw_only=True)  # between samples, states do not change
 
     def __init__(self, reads, drives, law, *, every=None, delay=None, pade=0):
@@ -144,8 +143,7 @@ class Controller(ForceElement):
 
     def of_law(self, now: ForceInputs) -> ForceInputs:
         """Return what the law sees."""
-        readings = {name: now.readings[name] for name in self.order if name in now.readings}
-        return replace(now, readings=readings, z=now.z[: len(self.law.states)])
+        return replace(now, order=self.order, z=now.z[: len(self.law.states)])
 
     @property
     def count(self) -> int:

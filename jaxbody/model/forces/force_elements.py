@@ -40,6 +40,8 @@ class ForceInputs(eqx.Module):
     t: Float[Array, ""]
     command: Float[Array, ""] | float = 0.0
     filter_rates: Float[Array, "nf"] | None = None
+    # names of the readings of a law, as dicts in JAX are sorted by their keys
+    order: tuple[str, ...] = eqx.field(static=True, default=())
 
     def opposed(self, force: Any, a: Any = (0, 0, 0), b: Any = (0, 0, 0)) -> tuple[Wrench, ...]:
         """Return the wrenches of `force` [N], in world axes, on point b of the second frame, and of
@@ -134,7 +136,8 @@ class ForceElement(Described, eqx.Module):
             *(
                 (f"{name} filtered {i + 1}", "")
                 for name, sensor in (self.reads or {}).items()
-                for i in range(filter_states(sensor, self.pade) * prod(sensor.shape))
+                if (width := filter_states(sensor, self.pade))
+                for i in range(width * prod(sensor.shape))
             ),
         )
 
@@ -222,6 +225,15 @@ def check_force(problems: Problems, where: str, force: ForceElement, model: Any)
             continue
         problem = sensor.problem(model, at)
         problems.collected += [] if problem is None else [problem]
+        if problem is None and sensor.follows_commands(model):
+            problems.add(
+                "ALGEBRAIC_LOOP",
+                at,
+                f"follows the commands that depend on it: {at} -> command -> {sensor.on}",
+                value=sensor.on,
+                limit="readings that no command changes at once",
+                hint="Read the DriveForce of an actuator with a bandwidth.",
+            )
         delay = 0.0 if sensor.delay is None else concrete(sensor.delay)
         late = sensor.delay is not None and (not force.pade or (delay is not None and delay <= 0))
         if sensor.reactions or late:

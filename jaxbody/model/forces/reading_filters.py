@@ -18,8 +18,9 @@ from jaxbody.core.arrays import Array, Float
 
 
 def filter_states(sensor: Any, order: int) -> int:
-    """Return the number of states of each component of a reading."""
-    return (order if sensor.delay is not None else 0) + (sensor.lag is not None)
+    """Return the number of states of each component of a reading; 0 of what is no sensor."""
+    late, lagged = (getattr(sensor, name, None) is not None for name in ("delay", "lag"))
+    return order * late + lagged
 
 
 def filtered(

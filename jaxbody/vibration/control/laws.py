@@ -21,9 +21,9 @@ MOST = 1e9  # [N] force that an on-off law asks for, beyond every damper
 
 def readings_of(now, number: int) -> Float[Array, "number"]:
     """Return the readings in one row. Error: BAD_SHAPE if they are not that many."""
-    y = jnp.concatenate([jnp.ravel(reading) for reading in now.readings.values()])
+    y = jnp.concatenate([jnp.ravel(now.readings[name]) for name in now.order])
     if len(y) != number:
-        listed = ", ".join(now.readings)
+        listed = ", ".join(now.order)
         raise JaxbodyError(
             Problem("BAD_SHAPE", "law", f"reads {len(y)} numbers: {listed}", len(y), f"{number}")
         )

@@ -90,6 +90,39 @@ def test_groundhook_is_a_damper_between_wheel_and_ground():
     np.testing.assert_allclose(C - passive, [[0, -900.0], [0, 900.0]], atol=1e-12)
 
 
+def test_a_law_may_read_the_force_of_a_drive_with_a_bandwidth():
+    """Force feedback: m x'' + k x = F, F' = w (-g F - F), of which the pole w (1 + g) is apart."""
+    g, f, below = 2.0, 4.0, ("world", [0, 0, -1.0])
+    law, reads = jb.control.skyhook(g), {"F": jb.sensors.DriveForce("drive")}
+    slow = jb.Actuator(below, "m", bandwidth=f)
+    model = mass_on_drive(law, reads, slow, stiffness=100.0)
+    assert np.abs(poles_of(model) + 2 * np.pi * f * (1 + g)).min() < 1e-10
+    asked = {"u": jb.sensors.DriveCommand("drive")}
+    for drive, each in ((None, reads), (None, asked), (slow, asked)):
+        with pytest.raises(jb.JaxbodyError, match="-> command -> drive") as e:
+            mass_on_drive(law, each, drive, stiffness=100.0)
+        assert e.value.code == "ALGEBRAIC_LOOP"
+
+
+def test_the_command_of_a_law_that_reads_accelerations_is_measured():
+    reads = {"a": jb.Acceleration("m", axis="z")}
+    drive = jb.Actuator(("world", [0, 0, -1.0]), "m", bandwidth=8.0)
+    model = mass_on_drive(jb.control.skyhook(5.0), reads, drive, stiffness=400.0)
+    start = jb.State(jnp.array([0.1]), jnp.array([0.0]), jnp.zeros(1))
+    run = jb.simulate(model, np.linspace(0, 0.2, 5), initial=start)
+    seen = jb.measure(run, reads | {"u": jb.sensors.DriveCommand("drive")})
+    np.testing.assert_allclose(seen["u"], -5.0 * seen["a"], rtol=1e-12)
+
+
+def test_another_law_takes_the_place_of_a_law():
+    model = jb.replace(
+        quarter_car(law=jb.control.skyhook(1.0)), {"ride.law": jb.control.PID(900.0)}
+    )
+    expected = quarter_car(law=jb.control.PID(900.0))
+    np.testing.assert_array_equal(linear(model).C, linear(expected).C)
+    assert model.layout.states == ("ride, integral", "ride, filtered error")
+
+
 def test_a_command_is_the_input_of_a_force_between_the_ends():
     lin = linear(quarter_car())
     ends = {name: jb.PointForce(name, direction="z") for name in ("body", "wheel")}
@@ -145,6 +178,9 @@ def test_a_law_may_read_accelerations_of_a_drive_with_a_bandwidth():
     with pytest.raises(jb.JaxbodyError, match=r"law.command -> acceleration -> reads\['a'\]") as e:
         mass_on_drive(Accelerations(jnp.array(gain)), reads)
     assert e.value.code == "ALGEBRAIC_LOOP"
+    reads = {"x": jb.Position("m", axis="z")} | reads
+    with pytest.raises(jb.JaxbodyError, match=r"law.command -> acceleration -> reads\['a'\]"):
+        mass_on_drive(jb.control.state_feedback([[1.0, 2.0]]), reads)
 
 
 @pytest.mark.parametrize("equations", ["structured", "lagrange"])
@@ -292,6 +328,7 @@ def test_limits_of_sampled_feedback():
         assert radius([0.999 * kp if kd < 20 else kp, 0.999 * kd if kd == 20 else kd]) < 1
 
 
+@pytest.mark.long
 def test_derivatives_through_sampled_loops():
     start = jb.State(jnp.array([0.3]), jnp.array([-0.2]))
     model = mass_on_drive(
@@ -350,6 +387,7 @@ class Net(jb.control.ControlLaw):
         return self.net(jnp.stack([now.readings["x"], now.readings["v"]]))
 
 
+@pytest.mark.long
 def test_a_network_is_a_law_and_is_tuned_with_the_plant():
     net = eqx.nn.MLP(2, 1, 4, 1, activation=jnp.tanh, key=jax.random.key(0))
     model = mass_on_drive(Net(net), stiffness=50.0)

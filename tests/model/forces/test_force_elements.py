@@ -481,7 +481,7 @@ def test_readings_that_are_wrong():
     assert "stroke" in refused("DUPLICATE_NAME", reads={"stroke": stroke, "again": stroke})
     assert "lonk" in refused("UNKNOWN_NAME", reads={"stroke": jb.Elongation("lonk")})
     refused("WRONG_KIND", reads={"stroke": 3.0})
-    refused("BAD_CHAIN", reads={"stroke": jb.Elongation("link", lag=0.1)})
+    refused("BAD_CHAIN", reads={"stroke": jb.Elongation("link", delay=0.1)})
     refused("BAD_CHAIN", reads={"base": jb.sensors.Reaction("base")})
 
 

@@ -54,6 +54,7 @@ def test_the_regulator_of_the_references_as_a_controller():
         assert np.abs(poles - pole).min() < 1e-8
 
 
+@pytest.mark.long
 def test_derivatives_of_the_cost_by_plant_and_weights():
     """REFERENCES3 5: dJ/dks, dJ/dbs, dJ/dmw at the digits given; all against differences."""
     p = jnp.array([16e3, 1e3, 60.0])
@@ -73,6 +74,7 @@ def test_derivatives_of_the_cost_by_plant_and_weights():
     np.testing.assert_allclose(slopes, [0.0045992662549**2, 0.0023330511925**2], rtol=1e-8)
 
 
+@pytest.mark.long
 def test_a_spring_is_tuned_with_its_optimal_controller_nested():
     tuned = jb.tune(
         quarter_car(),
@@ -86,6 +88,7 @@ def test_a_spring_is_tuned_with_its_optimal_controller_nested():
     assert float(cost(jnp.array([best, 1e3, 60.0]))) == pytest.approx(1.236029335, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [None, 0.01])
 def test_feedback_of_an_estimate_as_a_controller(every):
     """REFERENCES3 5: cost and rms acceleration of the continuous one; sampled, the loop of the

@@ -165,6 +165,7 @@ def test_what_grows_unseen_is_refused_by_name(every):
     assert drifting.ok and np.isfinite(drifting.covariance).all()
 
 
+@pytest.mark.long
 def test_feedback_of_what_no_sensor_sees_is_refused(car):
     outputs = OUTPUTS | {"place": jb.Position("body", axis="z")}
     weights = Q | {"place": 1.0}
