@@ -320,10 +320,10 @@ def report(study: Study, options: argparse.Namespace) -> Outcome:
     response if inputs or outputs are given."""
     import numpy as np
 
-    from jaxbody.model.forces.controllers import is_sampled
+    from jaxbody.model.forces.controllers import sampled_names
 
     path, results = options.out or options.file.with_suffix(".html"), {}
-    modes = () if any(map(is_sampled, study.model.forces)) else ("modes",)
+    modes = () if sampled_names(study.model) else ("modes",)
     for part in options.part or ("model", "plausibility", "equilibrium", *modes):
         results |= PARTS[part](study, options)
     if options.input or options.output:

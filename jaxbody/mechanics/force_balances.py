@@ -55,7 +55,7 @@ from jaxbody.model.element_states import (
     rest_states,
     with_force_states,
 )
-from jaxbody.model.forces.controllers import is_sampled
+from jaxbody.model.forces.controllers import sampled_names
 from jaxbody.model.joints.closure_tables import gaps_at
 from jaxbody.model.joints.element_tables import at_rest, force_rates
 from jaxbody.model.joints.kinematics import Coordinates
@@ -266,7 +266,7 @@ def from_start(
         frozen, applied, start, force_states(frozen.model), max_steps
     )
     growing, singular = jnp.zeros(2, int), jnp.array(False)
-    if stability and frozen.model.layout.nv and not any(map(is_sampled, given.forces)):
+    if stability and frozen.model.layout.nv and not sampled_names(given):
         growing, singular = growing_poles(holding_forces(frozen, z), given, q, applied)
     elements = jnp.isfinite(slope(configuration_at(frozen, start, base=False))).all()
     status = jnp.select(

@@ -123,6 +123,8 @@ def _with_force_states(table: KindTable, z: Float[Array, "n width"]) -> KindTabl
 
 def with_commands(model: Any, u: dict[str, Array]) -> Any:
     """Return the model with these commands added to those of its drives."""
+    if not u:
+        return model
 
     def commanded(table: KindTable) -> KindTable:
         if not set(u) & set(table.names):

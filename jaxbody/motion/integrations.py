@@ -18,7 +18,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.mechanics.closed_loops import ClosedLoops, after_samples, dynamics_of
 from jaxbody.mechanics.dynamics import Dynamics
 from jaxbody.model.element_states import between_samples
-from jaxbody.model.forces.controllers import check_continuous, is_sampled, next_sample
+from jaxbody.model.forces.controllers import check_continuous, next_sample, sampled_names
 from jaxbody.model.inputs.signals import kinks_of
 from jaxbody.model.joints.element_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import frames_at_time
@@ -103,7 +103,7 @@ def integrate(
     motions_after, loads_after = (
         tuple(part.after(given[0]) for part in parts) for parts in (motions, loads)
     )
-    sampled = any(map(is_sampled, model.forces))
+    sampled = sampled_names(model)
     dynamics = dynamics_of(between_samples(model), motions_after, loads_after, equations)
     if initial is None:
         initial = dynamics.coordinates.reference

@@ -193,14 +193,13 @@ def simulate(
     # as arrays, because Python numbers would be constants of the program
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))
     warn_of_what_steps_pass_over(model, motions, loads or {}, times, stepsize_controller, step)
-    start = model.reference if initial is None else initial
-    warn_of_slow_sampling(model, start)
+    warn_of_slow_sampling(model, initial)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(
         model, initial, step
     ):
         warn_of_long_steps(
             model,
-            start,
+            initial,
             float(step),  # pyright: ignore[reportArgumentType]
             solver,  # pyright: ignore[reportArgumentType]
         )

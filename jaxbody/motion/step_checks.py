@@ -14,7 +14,7 @@ from jaxbody.core.errors import Problems, warn
 from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.model.element_states import between_samples
-from jaxbody.model.forces.controllers import is_sampled
+from jaxbody.model.forces.controllers import sampled_names
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Motions
 from jaxbody.model.models import Model
@@ -91,8 +91,10 @@ def check_steps(
     return steps
 
 
-def _fastest_rate(model: Model, initial: State) -> float:
-    """Return the largest pole [rad/s] of small motions about the initial state, y' = A y."""
+def _fastest_rate(model: Model, initial: State | None) -> float:
+    """Return the largest pole [rad/s] of small motions about the initial state, by default the
+    reference pose at rest, y' = A y."""
+    initial = model.reference if initial is None else initial
     A = (
         state_slopes(model, initial)
         if model.layout.nz or model.closures or model.forces
@@ -101,10 +103,10 @@ def _fastest_rate(model: Model, initial: State) -> float:
     return np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
 
 
-def warn_of_slow_sampling(model: Model, initial: State) -> None:
+def warn_of_slow_sampling(model: Model, initial: State | None) -> None:
     """Warn about controllers that take fewer than two samples in a period of the fastest pole of
     the model between samples."""
-    sampled = {n: t.row(n).every for t in model.forces if is_sampled(t) for n in t.names}
+    sampled = {name: model[name].every for name in sampled_names(model)}
     if not sampled or not is_concrete(model, initial):
         return
     fastest = _fastest_rate(between_samples(model), initial)
@@ -118,7 +120,7 @@ def warn_of_slow_sampling(model: Model, initial: State) -> None:
 
 
 def warn_of_long_steps(
-    model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None
+    model: Model, initial: State | None, dt: float, solver: diffrax.AbstractSolver | None
 ) -> None:
     """Warn about constant steps that are too long for the fastest small motion."""
     fastest = _fastest_rate(model, initial)

@@ -9,7 +9,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.errors import Problems
 from jaxbody.model.forces.controllers import followed_at_once
 from jaxbody.model.inputs.port_inputs import unknown_drive
-from jaxbody.model.joints.element_tables import commands, each_force, reads_accelerations
+from jaxbody.model.joints.element_tables import commands, ends_at, reads_accelerations
 from jaxbody.sensors.sensors import Chain, Sensor
 
 
@@ -63,6 +63,6 @@ class DriveForce(DriveSensor):
         return self.on in followed_at_once(model)
 
     def reading(self, model, frames):
-        table = next(table for table in model.forces if self.on in table.names)
-        forces = each_force(model, frames, lambda force, now: force.force(now), tables=(table,))
-        return forces[0][table.names.index(self.on)]
+        drive, given = model[self.on], commands(model, frames, rates=False)
+        u, ends = given.get(self.on, 0.0), ends_at(model, frames, drive)
+        return drive.force(drive.seen(model, frames, ends, u, rates=False))[0]

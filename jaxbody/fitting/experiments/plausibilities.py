@@ -19,7 +19,7 @@ from jaxbody.core.results import Result
 from jaxbody.core.units import EARTH, GRAVITY
 from jaxbody.lagrange import potential_energy
 from jaxbody.mechanics.equilibria import equilibrium_of
-from jaxbody.model.forces.controllers import is_sampled
+from jaxbody.model.forces.controllers import sampled_names
 from jaxbody.model.joints.kinematics import retract
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision, unattached
@@ -196,7 +196,7 @@ def first_frequency(model: Model) -> float:
 
 def _scales_at_reference(model: Model) -> tuple[float, float]:
     """Return what `_scales` does; NaN for sampled controllers, which no linear system has."""
-    if any(map(is_sampled, model.forces)):
+    if sampled_names(model):
         return np.nan, np.nan
     first, sag = _scales(linearize(model, model.reference))
     return float(first), float(sag)

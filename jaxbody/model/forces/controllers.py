@@ -22,7 +22,7 @@ from jaxbody.core.arrays import Array, Float, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, take
-from jaxbody.model.forces.drives import CommandedForce
+from jaxbody.model.forces.drives import CommandedForce, drive_tables
 from jaxbody.model.forces.force_elements import ForceElement, ForceInputs
 
 NEAR = 1e-7  # distance from an instant of sampling, in sampling times, that counts as none
@@ -203,17 +203,20 @@ def is_sampled(table: Any) -> bool:
     return isinstance(table.rows, Controller) and table.rows.every is not None
 
 
+def sampled_names(model: Any) -> tuple[str, ...]:
+    """Return the names of the sampled controllers of a model."""
+    return tuple(name for table in model.forces if is_sampled(table) for name in table.names)
+
+
 def next_sample(model: Any, t: Float[Array, ""]) -> Float[Array, ""]:
     """Return the next instant after time t at which a law reads its sensors or commands act."""
-    controllers = [t.row(name) for t in model.forces if is_sampled(t) for name in t.names]
-    return jnp.min(jnp.stack([one.next_instant(t) for one in controllers]))
+    return jnp.min(jnp.stack([model[name].next_instant(t) for name in sampled_names(model)]))
 
 
 def check_continuous(where: str, model: Any) -> None:
     """Refuse a model with sampled controllers, in functions of continuous systems. Error:
     SAMPLED."""
-    sampled = [name for table in model.forces if is_sampled(table) for name in table.names]
-    if sampled:
+    if sampled := sampled_names(model):
         raise JaxbodyError(
             Problem(
                 "SAMPLED",
@@ -229,8 +232,8 @@ def check_continuous(where: str, model: Any) -> None:
 
 def followed_at_once(model: Any) -> set[str]:
     """Return the drives whose forces follow their commands at once."""
-    drives = [table for table in model.forces if isinstance(table.rows, CommandedForce)]
-    return {name for table in drives if table.rows.bandwidth is None for name in table.names}
+    tables = [table for table in drive_tables(model) if table.rows.bandwidth is None]
+    return {name for table in tables for name in table.names}
 
 
 def check_drives(problems: Problems, controllers: dict[str, Any], forces: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ A positive force pushes the two points apart; e' is the rate of their distance.
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -19,17 +20,15 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.points_and_orientations import ends
 from jaxbody.geometry.vectors import dot, length_and_direction
-from jaxbody.model.forces.force_elements import ForceElement, ForceInputs
+from jaxbody.model.forces.force_elements import ForceInputs, PointPair
 from jaxbody.model.laws import law_states, laws
 
 TURN = 2 * jnp.pi
 
 
-class CommandedForce(ForceElement):
+class CommandedForce(PointPair):
     """The base class of elements whose force follows a command, at once or with a bandwidth."""
 
-    a: Float[Array, "3"] = field("m")
-    b: Float[Array, "3"] = field("m")
     command: Float[Array, ""] = field("N")
     bandwidth: Float[Array, ""] | None = field("Hz", "positive")
 
@@ -40,10 +39,6 @@ class CommandedForce(ForceElement):
             setattr(self, name, None)
             if value is not None:
                 take(self, problems, **{name: value})
-
-    @property
-    def points(self):
-        return self.a, self.b
 
     @property
     def states(self):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -59,24 +54,26 @@ class CommandedForce(ForceElement):
     def exerted(self, follows: Float[Array, ""], rate: Float[Array, ""]) -> Float[Array, ""]:
         """Return the force [N] at a rate e' [m/s] of the distance."""
 
-    def force(self, now: ForceInputs) -> Float[Array, ""]:
-        """Return the force [N] that pushes the two points apart."""
-        follows = self.wanted(now) if self.bandwidth is None else now.z[0]
-        return self.exerted(follows, self._line(now)[1])
+    def force(self, now: ForceInputs) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+        """Return the force [N] that pushes the two points apart, and the direction from a to b."""
+        A, B = now.frames
+        u = length_and_direction(B.point(self.b) - A.point(self.a))[1]
+        rate = dot(u, B.velocity(self.b) - A.velocity(self.a))
+        return self.exerted(self.wanted(now) if self.bandwidth is None else now.z[0], rate), u
 
     def forces(self, now):
-        return now.opposed(self.force(now) * self._line(now)[0], self.a, self.b)
+        force, u = self.force(now)
+        return now.opposed(force * u, self.a, self.b)
 
     def rates(self, now):
         if self.bandwidth is None:
             return now.z
         return TURN * self.bandwidth * (self.wanted(now) - now.z)
 
-    def _line(self, now: ForceInputs) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-        """Return the direction from point a to point b, and e'."""
-        A, B = now.frames
-        u = length_and_direction(B.point(self.b) - A.point(self.a))[1]
-        return u, dot(u, B.velocity(self.b) - A.velocity(self.a))
+
+def drive_tables(model: Any) -> list[Any]:
+    """Return the tables of the drives of a model."""
+    return [table for table in model.forces if isinstance(table.rows, CommandedForce)]
 
 
 class Actuator(CommandedForce):

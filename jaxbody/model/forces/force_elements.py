@@ -39,7 +39,7 @@ class ForceInputs(eqx.Module):
     z: Float[Array, "nz"]
     t: Float[Array, ""]
     command: Float[Array, ""] | float = 0.0
-    filter_rates: Float[Array, "nf"] | None = None
+    filter_rates: tuple[Float[Array, "_"], ...] = ()
     # names of the readings of a law, as dicts in JAX are sorted by their keys
     order: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -147,7 +147,7 @@ class ForceElement(Described, eqx.Module):
         """Return what its forces, or its rates, see in the frames of a model at an instant."""
         dtype, n = model.gravity.dtype, len(self.states)
         z = jnp.zeros(n, dtype) if self.z is None else self.z
-        readings, filter_rates, at = {}, [jnp.zeros(0, dtype)], n
+        readings, filter_rates, at = {}, [], n
         for name, sensor in (self.reads or {}).items():
             known = rates or not refers_to_caused(sensor, model)
             x = sensor.reading(model, now) if known else None
@@ -159,14 +159,14 @@ class ForceElement(Described, eqx.Module):
                 x = None if y is None else y.reshape(sensor.shape)
             if x is not None:
                 readings[name] = scaled_reading(sensor, x)
-        return ForceInputs(
-            frames, readings, z[:n], jnp.asarray(now.t), command, jnp.concatenate(filter_rates)
-        )
+        t, of_filters = jnp.asarray(now.t), tuple(filter_rates)
+        return ForceInputs(frames, readings, z[:n], t, command, of_filters)
 
 
 class PointPair(ForceElement):
-    """The base class of forces of point a of one frame against point b of another, by the
-    displacement x of a from b and its rate, in the axes of the second frame."""
+    """The base class of forces of point a of one frame against point b of another; `relative` and
+    `acting` are for those by the displacement x of a from b and its rate, in the axes of the second
+    frame."""
 
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")

@@ -13,7 +13,7 @@ from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.points_and_orientations import direction as unit_direction
-from jaxbody.model.forces.drives import CommandedForce
+from jaxbody.model.forces.drives import drive_tables
 
 KINDS = ("displacement", "velocity", "acceleration")
 UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
@@ -98,8 +98,7 @@ class Command(eqx.Module):
 
 def unknown_drive(name: str, model: Any, where: str) -> Problem | None:
     """Return the problem of a name that is no drive of the model."""
-    tables = [table for table in model.forces if isinstance(table.rows, CommandedForce)]
-    known = tuple(name for table in tables for name in table.names)
+    known = tuple(name for table in drive_tables(model) for name in table.names)
     return None if name in known else unknown(name, where, known)
 
 

@@ -63,14 +63,17 @@ def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
 Acting = list[tuple[tuple[str, ...], Any]]  # (names of frames, forces and moments on these)
 
 
+def ends_at(model: Model, now: Instant, force: ForceElement) -> tuple[Instant, ...]:
+    """Return the frames of one force element."""
+    return tuple(now.frame(model.layout.frame(name)) for name in force.between)
+
+
 def exerted_by_loads(model: Model, now: Instant, loads: tuple[ForceElement, ...]) -> Acting:
     """Return the forces and moments of loads, [(name of the frame, wrench)]."""
     parts = []
     for load in loads:
-        frames = tuple(now.frame(model.layout.frame(name)) for name in load.between)
-        for name, wrench in zip(
-            load.between, load.forces(load.seen(model, now, frames, rates=False)), strict=True
-        ):
+        seen = load.seen(model, now, ends_at(model, now, load), rates=False)
+        for name, wrench in zip(load.between, load.forces(seen), strict=True):
             parts.append(((name,), tuple(x[None] for x in wrench)))
     return parts
 
@@ -98,9 +101,7 @@ def power(model: Model, acting: Acting, frames: Frame) -> Float[Array, ""]:
     return jnp.sum(F * frames.v) + jnp.sum(M * frames.w)
 
 
-def each_force(
-    model: Model, now: Instant, function, *, rates: bool = False, tables: Any = None
-) -> list:
+def each_force(model: Model, now: Instant, function, *, rates: bool = False) -> list:
     """Return function(force element, what it sees) of the force elements, table by table."""
     given, none = commands(model, now, rates=rates), jnp.zeros((), now.p.dtype)
 
@@ -113,7 +114,7 @@ def each_force(
             jnp.stack([given.get(name, none) for name in table.names]),
             *(now[rows] for rows in end_rows(model, table)),
         )
-        for table in (model.forces if tables is None else tables)
+        for table in model.forces
     ]
 
 
@@ -135,7 +136,7 @@ def states_after_samples(model: Model, now: Instant) -> Float[Array, "nf"]:
     a model that holds its states."""
     parts = [jnp.zeros(0, now.p.dtype)]
     for table in model.forces:
-        if table.rows.z is not None and is_sampled(table):
+        if is_sampled(table):
             for name in table.names:
                 controller = table.row(name)
                 seen = controller.seen(model, now, (), rates=True)
@@ -205,7 +206,7 @@ def state_rates(model: Model, now: Instant) -> Float[Array, "nz"]:
 def force_rates(model: Model, now: Instant) -> Float[Array, "nf"]:
     """Return z' of the force elements alone."""
     rates = each_force(
-        model, now, lambda x, now: jnp.append(x.rates(now), now.filter_rates), rates=True
+        model, now, lambda x, now: jnp.concatenate([x.rates(now), *now.filter_rates]), rates=True
     )
     return jnp.concatenate([jnp.zeros(0, now.p.dtype), *(part.reshape(-1) for part in rates)])
 

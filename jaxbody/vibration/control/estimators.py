@@ -185,8 +185,7 @@ def kalman(
     ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
     ...     joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
     ... )
-    >>> from jaxbody.vibration.control.estimators import kalman
-    >>> estimator = kalman(
+    >>> estimator = jb.control.kalman(
     ...     jb.linearize(model, model.reference),
     ...     {"place": jb.Position("mass", axis="z")},
     ...     inputs={"push": jb.PointForce("mass")},

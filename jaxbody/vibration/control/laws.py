@@ -16,7 +16,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import field, take
 from jaxbody.model.forces.controllers import ControlLaw
 
-MOST = 1e9  # [N] force that an on-off law asks for, beyond every damper
+MOST = 1e9  # [N] limit of a PID law by default, beyond every drive
 
 
 def readings_of(now, number: int) -> Float[Array, "number"]:

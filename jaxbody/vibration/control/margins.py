@@ -87,8 +87,7 @@ def loop_margins(
 
     Errors: BAD_NUMBER; warns UNSTABLE.
 
-    >>> from jaxbody.vibration.control.margins import loop_margins
-    >>> margins = loop_margins(  # 4/(s + 1)^3
+    >>> margins = jb.control.loop_margins(  # 4/(s + 1)^3
     ...     jnp.array([[-1.0, 1, 0], [0, -1, 1], [0, 0, -1]]),
     ...     jnp.array([0.0, 0, 4]),
     ...     jnp.array([1.0, 0, 0]),

@@ -156,8 +156,7 @@ def lqr(
     ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
     ...     joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
     ... )
-    >>> from jaxbody.vibration.control.regulators import lqr
-    >>> regulator = lqr(
+    >>> regulator = jb.control.lqr(
     ...     jb.linearize(model, model.reference),
     ...     {"place": 1.0},
     ...     {"push": 1.0},

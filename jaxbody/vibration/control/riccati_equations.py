@@ -45,8 +45,7 @@ def care(
     decay and that u cannot reach. Derivatives of any order by forward and reverse mode; each is a
     linear system of n^2 equations.
 
-    >>> from jaxbody.vibration.control.riccati_equations import care
-    >>> P = care(jnp.zeros((1, 1)), jnp.eye(1), jnp.eye(1), 4 * jnp.eye(1))
+    >>> P = jb.control.care(jnp.zeros((1, 1)), jnp.eye(1), jnp.eye(1), 4 * jnp.eye(1))
     >>> round(float(P[0, 0]), 12)  # P^2/4 = 1
     2.0
     """
@@ -63,8 +62,7 @@ def dare(
     """Solve P = A'PA - (A'PB + N)(R + B'PB)^-1 (B'PA + N') + Q, the equation of `care` for the sum
     of the cost over samples of x_next = Ax + Bu.
 
-    >>> from jaxbody.vibration.control.riccati_equations import dare
-    >>> P = dare(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1))
+    >>> P = jb.control.dare(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1))
     >>> round(float(P[0, 0]), 9)  # P = 1 + P/(1 + P): the golden ratio
     1.618033989
     """

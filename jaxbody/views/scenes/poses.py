@@ -21,7 +21,7 @@ from jaxbody.mechanics.free_motions import moved
 from jaxbody.model.elements.bushings import FramePair
 from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
-from jaxbody.model.forces.drives import CommandedForce
+from jaxbody.model.forces.drives import CommandedForce, drive_tables
 from jaxbody.model.inputs.roads import Road
 from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Coordinates, frames_at_time
@@ -342,8 +342,7 @@ def vibrating(
     # if all points are at origins of bodies, the rotation limits the amplitude
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)
     share, held = SWING, ""
-    drives = (table for table in model.forces if isinstance(table.rows, CommandedForce))
-    for name, element in named_rows((*model.attached, *drives)):
+    for name, element in named_rows((*model.attached, *drive_tables(model))):
         reach, stretch = _reach(element, rest, size), _stretch(element, rest, trials) / trial
         if amplitude is None and stretch * share * size > reach * largest:
             share, held = reach * largest / (stretch * size), f", limited by {name}"

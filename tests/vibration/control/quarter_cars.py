@@ -1,13 +1,14 @@
-"""The quarter car of the reference cases, and an actuator between body and wheel."""
+"""The quarter car of the reference cases by the preset, and a pair of forces on body and wheel, for
+the mathematics of control without drives; tests/controlled_cars.py has the car with a drive."""
 
 import dataclasses
 
+import controlled_cars
 import jax.numpy as jnp
 
 import jaxbody as jb
 
-W = 2.526618726679e-4  # of the road's velocity: class C at 20 m/s
-ROAD = jb.BaseMotion("road", "z", kind="velocity")
+W, ROAD = controlled_cars.WHITE, controlled_cars.ROAD["road"]
 PUSHES = {"body": jb.PointForce("body"), "wheel": jb.PointForce("wheel")}
 OUTPUTS = {
     "acceleration": jb.Acceleration("body", axis="z"),
