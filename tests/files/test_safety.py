@@ -9,7 +9,7 @@ import pytest
 import jaxbody as jb
 
 PACKAGE = Path(jb.__file__).parent
-STARTING = {"mjcf_compiled": {"subprocess"}}  # a program of the package, to which the file is data
+STARTING = {"mjcf_documents": {"subprocess"}}  # a program of the package, to which the file is data
 READERS = ("files", "files/studies", "files/interchange", "records")
 REFUSED = {
     "eval",

@@ -10,7 +10,7 @@ import numpy as np
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.source_files import extension_of, writing
-from jaxbody.files.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.files.interchange.mjcf_places import ORIGIN, Place
 from jaxbody.geometry.points_and_orientations import matrix
 from jaxbody.model.elements.bushings import Bushing
 from jaxbody.model.elements.springs import Spring, SpringDamper
@@ -54,8 +54,8 @@ def write_mjcf(model: Model, path: Any) -> None:
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp(), "car.xml")
     >>> jb.files.write_mjcf(jb.presets.quarter_car(), path)
-    >>> float(jb.files.read_mjcf(path).model["tyre"].stiffness)
-    193000.0
+    >>> '<spatial name="tyre" stiffness="193000.0"' in path.read_text()
+    True
     """
     path = Path(path)
     extension_of(path, ".xml")

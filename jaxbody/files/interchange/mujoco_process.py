@@ -72,9 +72,8 @@ def main(source: str, target: str) -> None:
         m = mujoco.MjModel.from_xml_path(source)
     except (ValueError, MemoryError) as error:
         sys.exit(str(error))
-    arrays: dict[str, Any] = {
-        name: np.asarray(getattr(m, name)) for name in ARRAYS if hasattr(m, name)
-    }
+    missing = np.zeros((1, 1))  # older versions do not have all arrays
+    arrays: dict[str, Any] = {name: np.asarray(getattr(m, name, missing)) for name in ARRAYS}
     for kind, count in NAMED.items():
         of = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
         arrays[f"{kind}_names"] = np.array(

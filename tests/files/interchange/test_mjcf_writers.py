@@ -1,6 +1,8 @@
 """Models written as MJCF: MuJoCo simulates the same motion, and what is read again is the
 same model."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -228,6 +230,12 @@ def test_mujoco_simulates_the_same_motion(written, rng):
     moved = np.abs(ours - ours[0]).max()
     assert moved > 0.02 and np.abs(coarse - fine).max() < 1e-4 * moved
     assert np.abs(ours - fine).max() <= np.abs(coarse - fine).max() + 1e-10
+
+
+def test_writing_does_not_need_mujoco(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    jb.files.write_mjcf(presets.quarter_car(), tmp_path / "car.xml")
+    assert 'name="tyre"' in (tmp_path / "car.xml").read_text()
 
 
 @pytest.mark.long
