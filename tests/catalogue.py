@@ -361,8 +361,8 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     96: (
         "recompilation",
         (
-            "core/compilation/test_recompilations.py: "
-            "test_what_makes_a_function_compile_again_and_again_is_named_once"
+            "core/compilation/test_compile_options.py: "
+            "test_new_floats_compile_nothing_and_other_words_do"
         ),
     ),
 }

@@ -375,10 +375,7 @@ def judged(shock: Shock, check: bool = False):
     q, v = np.asarray(run.state.q), np.asarray(run.state.v)
     rows = np.searchsorted(ts, times[at])
     error = differences(q[rows], v[rows], q1[at], v1[at], start)
-    codes = sorted(
-        {w.message.code for w in caught if isinstance(w.message, jb.JaxbodyWarning)}
-        - {"RECOMPILED", "SLOW_COMPILATION"}
-    )
+    codes = sorted({w.message.code for w in caught if isinstance(w.message, jb.JaxbodyWarning)})
     status = jb.Status(int(run.status)).name
     verdict = (
         "ended" if status != "OK" else "said" if codes else "right" if error <= LIMIT else "wrong"

@@ -271,8 +271,6 @@ OWN_CODE: an object holds Python of your own, which a file cannot -> write a cla
 RAGGED_LINE: lines of a file have different lengths -> delete or correct those that the message
     names
 RATE_MISMATCH: the times and the stated sampling rate disagree -> correct one of them
-RECOMPILED: a function is compiled again and again -> do not change shapes, types and closures
-    between calls
 RELAXES: the state of a hysteretic law moves at rest -> derive it from jb.laws.Viscoelastic
 RIGID: a closure's ends cannot move relative to each other -> leave it out, or free one of the
     joints between its ends
@@ -288,8 +286,6 @@ SINGULAR_CLOSURE: closures that are independent elsewhere are not in this positi
 SINGULAR_K: the stiffness matrix is singular: a motion is not resisted -> constrain the motion that
     the message names
 SINGULAR_M: the mass matrix is singular: a motion has no inertia -> give it mass or inertia
-SLOW_COMPILATION: a function took over a minute to compile -> cache programs with
-    JAX_COMPILATION_CACHE_DIR; see jb.compile_times
 SLOW_SAMPLING: a controller samples too slowly for the fastest motion of its plant -> shorten every=
 SPRING_COLLAPSED: a spring passes through zero length, where its direction jumps -> keep its ends
     apart, or use a Bushing

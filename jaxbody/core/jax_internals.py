@@ -30,7 +30,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-from jax import Array
 from jax.core import ShapedArray, Tracer, eval_jaxpr
 from jax.extend.core import ClosedJaxpr, Literal, Primitive  # pyright: ignore[reportPrivateImportUsage]
 from jax.interpreters import ad, batching, mlir, partial_eval
@@ -246,15 +245,6 @@ def with_tangent(change: Callable[..., Any]) -> Callable[..., Any]:
     return same
 
 
-def same_numbers(
-    name: str, typed: Callable[..., Any] = lambda x, **_: x, **rules: Any
-) -> Primitive:
-    """Make an operation that returns its argument."""
-    return new_operation(
-        name, lambda x, **_: x, typed=typed, lowered=lambda context, x, **_: [x], **rules
-    )
-
-
 def call_of(name: str, **rules: Any) -> Primitive:
     """Make an operation that runs its parameter `jaxpr`."""
     primitive = new_operation(
@@ -306,64 +296,3 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
             mesh, jax.sharding.PartitionSpec(*(None for _ in shape))
         ),
     )
-
-
-# Within `jax.shard_map` the type of an array states over which axes of the mesh its values vary. A
-# loop must not start with a constant, which does not vary, and continue with values that do:
-# functions that are independent of devices are therefore traced without these types.
-
-
-def without_manual_axes(arrays: Sequence[Any]) -> tuple[Sequence[Any], Callable[[Any], Any]]:
-    """Return the arrays with types that do not vary over the axes of a mesh, and a function that
-    makes the type of a result vary over them again."""
-    axes = frozenset().union(*(_varying(jax.typeof(x)) for x in arrays))
-    if not axes:
-        return arrays, lambda x: x
-    return [_hidden(x, axes) for x in arrays], lambda x: _shown_p.bind(x, axes=axes)
-
-
-def _hidden(x: Array, axes: frozenset) -> Array:
-    """Return x without varying axes, after it is made to vary over all of them: derivatives with
-    respect to constants are then correct sums over devices."""
-    missing = tuple(axes - _varying(jax.typeof(x)))
-    if missing:
-        x = (
-            jax.lax.pcast(x, missing, to="varying")
-            if hasattr(jax.lax, "pcast")
-            else jax.lax.pvary(x, missing)  # pyright: ignore
-        )
-    return _hidden_p.bind(x, axes=axes)
-
-
-def _varying(aval: Any) -> frozenset:
-    return (
-        aval.manual_axis_type.varying
-        if hasattr(aval, "manual_axis_type")
-        else getattr(aval, "vma", frozenset())
-    )
-
-
-def _with_varying(aval: Any, axes: frozenset) -> Any:
-    if hasattr(aval, "manual_axis_type"):
-        sharding = aval.sharding.update(mesh=jax.sharding.get_abstract_mesh())
-        return aval.update(
-            sharding=sharding, manual_axis_type=aval.manual_axis_type.update(varying=axes)
-        )
-    return aval.update(vma=axes)
-
-
-def _type_only(
-    name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]
-) -> Primitive:
-    """Make an operation that changes the type of an array but not its numbers."""
-    primitive = same_numbers(
-        name,
-        typed=lambda x, axes: _with_varying(x, varying(axes)),
-        batch=lambda args, at, axes: (primitive.bind(*args, axes=axes), at[0]),
-        transpose=lambda cotangent, x, axes: [back().bind(cotangent, axes=axes)],
-    )
-    return primitive
-
-
-_hidden_p = _type_only("manual_axes_hidden", lambda axes: frozenset(), lambda: _shown_p)
-_shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)

@@ -91,7 +91,7 @@ import numpy as np
 from jax import lax
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.jax_internals import new_operation, same_numbers, shaped, with_tangent
+from jaxbody.core.jax_internals import new_operation, shaped, with_tangent
 
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
 
@@ -99,8 +99,11 @@ FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than runni
 
 # True for all members of a batch if it is True for any; a loop with this as its condition needs no
 # masks on its carried values.
-_any_p = same_numbers(
-    "any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
+_any_p = new_operation(
+    "any_of_batch",
+    lambda x: x,
+    batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None),
+    typed=lambda x: x,
 )
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 

@@ -1,37 +1,16 @@
-"""Compilations and their times as reported by JAX; warnings about functions that are compiled
-repeatedly or for over a minute."""
+"""Compilations and their times as reported by JAX."""
 
 from __future__ import annotations
 
 import functools
-import inspect
-import re
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
 from jax import monitoring
 
 from jaxbody.core import tables
-from jaxbody.core.errors import warn
-
-LONG = 60.0  # time to compile from which a warning is given [s]
-MANY = 6  # compilations in a row for one reason from which a warning is given
-SHOWN = 4  # values in a warning
-REMEDIES = {
-    "shape": (
-        "arrays of one shape, or calls of one function in jb.jit that holds the "
-        "loop, are compiled once"
-    ),
-    "type": "numbers of one type are compiled once",
-    "value": "one value for all calls is compiled once",
-    "function": (
-        "make it once, outside of the loop, or write a class that holds its arrays as fields"
-    ),
-}
 
 PHASES = {  # phases of a compilation, in the order in which JAX runs them
     "/jax/core/compile/jaxpr_trace_duration": 0,
@@ -173,105 +152,3 @@ def _listen() -> None:
 
     monitoring.register_event_listener(heard)
     monitoring.register_event_duration_secs_listener(heard)
-
-
-class Compilations:
-    """The successive compilations of a function, and what changed in its arguments between them."""
-
-    def __init__(self, function: Callable[..., Any]):
-        self.name = f"{function.__module__}.{function.__qualname__}"
-        self.program = function.__name__
-        self.parameters = tuple(inspect.signature(function).parameters)
-        self.last: dict[str, Any] = {}
-        self.reason: tuple[str, tuple[str, ...]] | None = None
-        self.seen: list[str] = []
-        self.warned = False
-
-    @contextmanager
-    def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
-        """Observe whether a call with these arguments, the `with` block, compiles the function.
-
-        Warns SLOW_COMPILATION if it takes more than a minute; warns RECOMPILED, once, if the
-        function is compiled again and again because one thing changes."""
-        with CompileTimes() as times:
-            yield
-        seconds = sum(times.programs.get(self.program, ())[:3])
-        if seconds > LONG:
-            remedy = (
-                "new numbers in the same shapes compile nothing, JAX keeps programs for later "
-                "runs where JAX_COMPILATION_CACHE_DIR names a directory, a Python loop in a law "
-                "or a motion compiles faster as jax.lax.fori_loop, and jb.jit compiles your "
-                "functions more quickly"
-            )
-            warn(
-                "SLOW_COMPILATION",
-                f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows "
-                "which function takes how long",
-            )
-        if seconds:
-            self._compare(args)
-
-    def _compare(self, args: tuple[Any, ...]) -> None:
-        now = _described(self.parameters, args)
-        reason = _difference(self.last, now)
-        if reason is None or reason != self.reason:
-            self.seen = [] if reason is None else [_shown(self.last[reason[1][0]])]
-        if reason is not None:
-            self.seen.append(_shown(now[reason[1][0]]))
-        self.last, self.reason = now, reason
-        if len(self.seen) < MANY or self.warned or reason is None:
-            return
-        self.warned = True
-        kind, where = reason
-        what = "a new Python function in" if kind == "function" else f"the {kind} of"
-        values = "" if kind == "function" else f": {', '.join(self.seen[:SHOWN])}, ..."
-        places = ", ".join(where[:SHOWN]) + (", ..." if len(where) > SHOWN else "")
-        warn(
-            "RECOMPILED",
-            f"{self.name} was compiled {len(self.seen)} times in a row for {what} "
-            f"{places}{values}; {REMEDIES[kind]}",
-        )
-
-
-def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """Describe arguments: return {path of a leaf: (shape, type) of an array, or any other leaf
-    itself}, and the tree structure of each argument under "the structure of <parameter>"."""
-    places: dict[str, Any] = {}
-    for name, arg in zip(parameters, args, strict=False):
-        leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
-        places |= {
-            name + jax.tree_util.keystr(path): (x.shape, x.dtype) if hasattr(x, "dtype") else x
-            for path, x in leaves
-        }
-        places[f"the structure of {name}"] = structure
-    return places
-
-
-def _difference(before: dict[str, Any], now: dict[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """Return the kind of change between two descriptions of arguments, and its places.
-
-    None if changes are of several kinds, or if the new arguments need another program in
-    any case."""
-    if before.keys() != now.keys():
-        return None
-    changed = [place for place in now if before[place] != now[place]]
-    kinds = {_kind(before[place], now[place]) for place in changed}
-    return None if len(kinds) != 1 or None in kinds else (kinds.pop() or "", tuple(changed))
-
-
-def _kind(before: Any, now: Any) -> str | None:
-    if isinstance(before, tuple) and isinstance(now, tuple):
-        return "type" if before[0] == now[0] else "shape" if before[1] == now[1] else None
-    if isinstance(before, jax.tree_util.PyTreeDef) or (callable(before) and callable(now)):
-        return "function" if _without_addresses(before) == _without_addresses(now) else None
-    return "value" if isinstance(before, int | float) and isinstance(now, int | float) else None
-
-
-def _without_addresses(thing: Any) -> str:
-    return re.sub(r"0x[0-9a-f]+", "", str(thing))
-
-
-def _shown(described: Any) -> str:
-    return (
-        f"{described[0]} {described[1]}" if isinstance(described, tuple) else f"{described!r:.40}"
-    )

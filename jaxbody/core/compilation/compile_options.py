@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -14,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compilation.compilations import Compilations
-from jaxbody.core.jax_internals import outermost, without_manual_axes
+from jaxbody.core.jax_internals import outermost
 
 ARRAYS = (jax.Array, np.ndarray, np.generic)
 
@@ -124,14 +122,10 @@ def program_with(options: Options | Callable[..., Options]) -> Callable[[F], F]:
     Inside another program, a derivative or a batch they are not used, because JAX takes no options
     there."""
 
-    return lambda function: _compiled(function, options, Compilations(function))
+    return lambda function: _compiled(function, options)
 
 
-def _compiled(
-    function: Any,
-    options: Options | Callable[..., Options],
-    compilations: Compilations | None = None,
-) -> Any:
+def _compiled(function: Any, options: Options | Callable[..., Options]) -> Any:
     """Return the function, compiled once for each structure of its arguments and each set of
     values in them that are not arrays.
 
@@ -142,18 +136,15 @@ def _compiled(
         function: the function, whose results may hold anything.
         options: options of XLA, for calls outside of other programs; or a function of the arguments
             that returns them.
-        compilations: the record of compilations by calls outside of other programs; None for a
-            function of a user, which may depend on devices.
     """
 
     @functools.lru_cache(STRUCTURES)
     def of_arrays(structure, others, x64):  # JAX keeps NumPy constants as first traced
         def traced(*arrays):
-            given, shown = without_manual_axes(arrays) if compilations else (arrays, lambda x: x)
-            args, named = joined(given, structure, others)
+            args, named = joined(arrays, structure, others)
             results, *rest = separated(function(*args, **named))
             # batches lose weak types, and functions of the result would be traced again
-            return [without_weak_type(shown(x)) for x in results], Remainder(rest)
+            return [without_weak_type(x) for x in results], Remainder(rest)
 
         traced.__name__ = getattr(function, "__name__", type(function).__name__)
         return traced
@@ -166,12 +157,10 @@ def _compiled(
     def call(*args, **named):
         arrays, structure, others = separated((args, named))
         traced = of_arrays(structure, others, jax.config.read("jax_enable_x64"))
-        if not outermost():  # JAX takes no options there
-            results, remainder = program_of(traced, ())(*arrays)
-        else:
+        chosen: Options = ()  # JAX takes no options inside another program
+        if outermost():
             chosen = options(*args) if callable(options) else options
-            with compilations.watched(args) if compilations else nullcontext():
-                results, remainder = program_of(traced, chosen)(*arrays)
+        results, remainder = program_of(traced, chosen)(*arrays)
         return joined(results, *remainder.value)
 
     return call

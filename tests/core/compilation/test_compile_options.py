@@ -183,3 +183,16 @@ def test_a_fit_leaves_the_settings_of_the_process_as_they_were():
         env=os.environ,
     )
     assert done.stdout == "[]\n", done.stdout + done.stderr
+
+
+def test_results_have_no_weak_type_for_which_others_would_be_compiled_again():
+    """A number of Python becomes one in a result of JAX, and batches lose it."""
+    numbers = lambda x: (jnp.where(x > 0, 3, 5), 2.0 * jnp.ones(()), x)  # noqa: E731
+    assert jax.jit(numbers)(jnp.ones(()))[0].aval.weak_type
+    result = program(numbers)(jnp.ones(()))
+    assert [x.aval.weak_type for x in result] == [False, False, False]
+    assert [x.dtype for x in result] == [
+        jnp.result_type(int),
+        jnp.result_type(float),
+        jnp.result_type(float),
+    ]
