@@ -112,5 +112,4 @@ np.testing.assert_allclose(force, printed, atol=1e-12)
 assert np.linalg.norm(exact[2] - printed) < 0.006 * np.linalg.norm(printed)
 
 # %% [markdown]
-# Read on: `contract.py` simulates this plate and fits its stiffnesses; `jaxbody demo --paper`
-# shows it from the command line.
+# Read on: `contract.py` simulates this plate and fits its stiffnesses.

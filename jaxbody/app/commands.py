@@ -146,11 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--seed", type=int, default=0, help="seed of the measurement noise (default: 0)"
     )
-    chosen = demo.add_mutually_exclusive_group()
-    chosen.add_argument("--open", action="store_true", help="open the report in the browser")
-    chosen.add_argument(
-        "--paper", action="store_true", help="the plate of Stanescu and Mihalcea (2011) instead"
-    )
+    demo.add_argument("--open", action="store_true", help="open the report in the browser")
     demo.set_defaults(run=_demo)
     return parser
 
@@ -159,8 +155,6 @@ def _demo(options: argparse.Namespace) -> int:
     _prepare(options)
     from jaxbody.app import demos
 
-    if options.paper:
-        return demos.run_paper(options.out, options.seed)
     return demos.run(options.out, options.seed, options.open)
 
 

@@ -27,9 +27,3 @@ def test_the_demo_finds_the_engine_of_its_file_and_shows_the_report(tmp_path, ca
     assert lowest > 6 - 1e-6
     page = tmp_path / "engine.html"
     assert opened == [page.as_uri()] and page.read_text().count("<h2") >= 7
-
-
-def test_the_demo_opens_a_report_which_the_paper_has_not(capsys):
-    with pytest.raises(SystemExit):
-        commands.main(["demo", "--paper", "--open"])
-    assert "not allowed with argument" in capsys.readouterr().err

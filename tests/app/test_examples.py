@@ -21,7 +21,7 @@ import pytest
 from data import BESIDE, data
 
 import jaxbody as jb
-from jaxbody.app import commands, demos
+from jaxbody.app import commands
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -121,52 +121,6 @@ def test_speeds_in_the_readme_are_those_that_were_measured():
             for row in README[README.index("| 10 s of motion") :].splitlines()[:4]
         ]
         assert [float(row[column]) for row in rows if row[column].strip() != "-"] == ratios, name
-
-
-def test_the_papers_formulas_as_printed():
-    """(77) and (79) as implemented in the demo, against entries computed by hand for k = 4,
-    kt = 3, l = 2."""
-    K = demos.printed_K_tilde(4.0, 3.0, 2.0)
-    assert (
-        K[0].tolist() == [5, 0, 0, 0, 0, -40]
-        and K[1, 1] == 8
-        and K[2].tolist() == [0, 0, 2, 28, 0, 0]
-    )
-    assert (
-        K[3].tolist() == [0, 0, 4, 56, 0, 0]
-        and K[4, 4] == 120
-        and K[5].tolist() == [8, 0, 0, 0, 0, 128]
-    )
-    assert np.count_nonzero(K) == len(demos.PRINTED)
-    xi = np.array([0.1, 0, 0, 0, 0, 0.3])
-    np.testing.assert_allclose(demos.printed_force(4.0, 2.0, 0.1, 0.3), K @ xi, rtol=1e-15)
-
-
-@pytest.mark.long  # .ci/run runs it too
-def test_the_demo_of_the_paper_prints_and_draws_its_results(
-    contract, tmp_path, capsys, monkeypatch
-):
-    """After the contract script, whose compiled functions it shares; the exit code is 1 when an
-    estimate is off."""
-    assert commands.main(["demo", "--paper", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    for word in (
-        "paper (77)",
-        "paper (79)",
-        "Equilibrium",
-        "Modes",
-        "Trajectory",
-        "truth",
-        "standard error",
-        "Done.",
-    ):
-        assert word in printed
-    for name in ("plate", "modes", "motion", "fit"):
-        picture = (tmp_path / f"{name}.png").read_bytes()
-        assert picture[:4] == b"\x89PNG" and len(picture) > 10_000
-    monkeypatch.setattr(demos, "LIKELY", 1e-9)
-    assert commands.main(["demo", "--paper", "--out", str(tmp_path)]) == 1
-    assert "too far from the true values" in capsys.readouterr().out
 
 
 def test_a_demo_that_cannot_write_says_so_before_it_computes(tmp_path, capsys):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 README = "README's script"
-DEMO = "jaxbody demo --paper"
+DEMO = "jaxbody demo"
 
 BEGIN = """
 import json, os, sys
@@ -206,7 +206,7 @@ begin = time.perf_counter()
 process = subprocess.Popen({command}, stdout=subprocess.PIPE, text=True)
 first = None
 for line in process.stdout:
-    if line.startswith("K~") and first is None:
+    if line.startswith("Equilibrium") and first is None:
         first = time.perf_counter() - begin
 assert process.wait() == 0
 print(json.dumps([sum(os.times()[2:4]), first]))
@@ -225,7 +225,7 @@ def script_of(job: str, source: Path) -> str:
         )
     if job == DEMO:
         code = """import importlib.metadata, sys
-sys.argv = ['jaxbody', 'demo', '--paper', '--out', sys.argv[1]]
+sys.argv = ['jaxbody', 'demo', '--out', sys.argv[1]]
 (command,) = importlib.metadata.entry_points(group='console_scripts', name='jaxbody')
 command.load()()
 """

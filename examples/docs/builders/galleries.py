@@ -8,7 +8,6 @@ from pathlib import Path
 import jupytext
 import nbformat
 
-DEMO = "jaxbody/app/demos.py"
 WIDE = ("---", "hide-toc: true", "---", "")
 
 
@@ -37,8 +36,6 @@ def _gallery(root: Path, scripts: list[Path], notebooks: list[Path]) -> str:
     ):
         script = maker(root, image.name)
         made = f"[{script}](examples/{script.stem}.md)"
-        if str(script) == DEMO:
-            made = "`jaxbody demo --paper`"
         if is_notebook(root / script):
             made = f"[{script}](notebooks/{script.stem}.ipynb)"
         about = first_paragraph(root / script)
@@ -84,7 +81,7 @@ def is_notebook(path: Path) -> bool:
 def maker(root: Path, image: str) -> Path:
     """The script that makes a picture: the one that names it, or has its name."""
     stem = Path(image).stem
-    for path in [*sorted((root / "examples").rglob("*.py")), root / DEMO]:
+    for path in sorted((root / "examples").rglob("*.py")):
         if path.stem == stem or re.search(
             rf"\b{re.escape(image)}\b|/ \"{re.escape(image)}\"", path.read_text()
         ):

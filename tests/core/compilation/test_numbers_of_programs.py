@@ -1,5 +1,5 @@
-"""README's script, the example of its contract and `jaxbody demo --paper` compile few programs,
-none of single operations but the script's own."""
+"""README's script and the example of its contract compile few programs, none of single operations
+but the script's own."""
 
 import os
 import subprocess
@@ -12,8 +12,8 @@ ROOT = Path(__file__).parents[3]
 
 pytestmark = pytest.mark.long
 
-# Programs are jaxbody's where one of its files, other than the script of the demo, is among the
-# callers. JAX reports each with its name.
+# Programs are jaxbody's where one of its files is among the callers. JAX reports each with its
+# name.
 COUNTED = """
 import runpy, sys, traceback
 import jax, jaxbody
@@ -23,11 +23,11 @@ package, ours = str(Path(jaxbody.__file__).parent), []
 
 def heard(event, seconds, fun_name="", **_):
     places = [f.filename for f in traceback.extract_stack() if f.filename.startswith(package)]
-    if event == "/jax/core/compile/backend_compile_duration" and places and not places[-1].endswith("demos.py"):
+    if event == "/jax/core/compile/backend_compile_duration" and places:
         ours.append(fun_name.removeprefix("jit(").removesuffix(")"))
 
 jax.monitoring.register_event_duration_secs_listener(heard)
-"""  # noqa: E501
+"""
 CONTRACT = (
     COUNTED
     + """
@@ -35,11 +35,6 @@ runpy.run_path('examples/contract.py', run_name='__main__')
 assert not {"scipy.stats", "scipy.signal"} & set(sys.modules)  # 0.4 s to import, and its noise is white
 print('programs', *sorted(ours))
 """  # noqa: E501
-)
-DEMO = COUNTED + (
-    "from jaxbody.app import commands\n"
-    "assert commands.main(['demo', '--paper', '--out', sys.argv[1]]) == 0\n"
-    "print('programs', *sorted(ours))"
 )
 RIDE = (
     COUNTED
@@ -106,13 +101,6 @@ def test_the_script_of_readme_compiles_its_drivers_only():
     fit = ["_begin", "_placed", "_step", "residual_and_jacobian"]
     drivers = ["_evaluate", "_excitation", "_linearize", "drawn_reference", "integrate"]
     assert programs(README) == sorted(own + fit + drivers)
-
-
-def test_the_demo_compiles_few_programs(tmp_path):
-    found = programs(DEMO, tmp_path)
-    # of poses, of tensions, about the reference
-    plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "drawn_reference"]
-    assert found == sorted(DRIVERS + plots) and len(found) <= 15
 
 
 def test_a_random_response_and_a_design_compile_their_functions_only():

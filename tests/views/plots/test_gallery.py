@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from pictures import overlaps, without_unit
 
 import jaxbody as jb
-from jaxbody.app import demos
 
 ROOT = Path(__file__).parents[3]
 IMAGES = ROOT / "examples" / "images" / "gallery"
@@ -50,7 +49,7 @@ MODELS = {
     "full car": jb.presets.full_car,
     "half car": jb.presets.half_car,
     "engine on mounts": jb.presets.engine_on_mounts,
-    "the paper's plate": lambda: demos.model(0.7, 3.0, 9.81, 3.0 * 9.81 / 0.7, 120.0),
+    "the paper's plate": lambda: runpy.run_path(str(ROOT / "examples" / "plate.py"))["model"],
 }
 
 
