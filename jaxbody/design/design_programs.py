@@ -127,7 +127,6 @@ def search_by_workers(
             len(searches),
             width=1,
             where=where,
-            crew=crew,
             owner=evaluate,
             place=("tune", reverse),
         )

@@ -70,8 +70,8 @@ def sweep(
             "latin" (hypercube).
         key: random key that scrambles the samples; None takes jax.random.key(0).
         chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored at
-            a time; None takes up to 1024 that fit in 1 GiB, and sends as many as take about two
-            seconds.
+            a time; None takes up to 1024 that fit in 1 GiB, and sends at most 256
+            parts, or parts with results of 64 MB.
         workers: None computes in this process, on all of its devices; a number starts that many
             processes of one thread each (needs jaxbody[cluster]); or an executor of processes, such
             as Dask's `client.get_executor(pure=False)`. The numbers are the same.
@@ -182,7 +182,7 @@ def sweep(
             quantities = gathered_here(report, **points)
         else:
             with crew_of(workers, "sweep.workers") as crew:
-                batch = batch_of(**points, where="sweep.evaluate", crew=crew)
+                batch = batch_of(**points, where="sweep.evaluate")
                 if STATUS in batch.program.results:
                     raise JaxbodyError(
                         Problem(
@@ -203,7 +203,6 @@ def sweep(
                         {"over": hash_of(*columns, *columns.values(), samples, sampler, random)},
                         list(columns),
                         "design",
-                        any_size=chunk is None,
                     )
                     stored(batch, store, chunks, crew, "sweep", report)
                     return store.opened("sweep")

@@ -140,7 +140,7 @@ def tolerances(
         samples: number of Monte Carlo samples.
         key: random key for these samples; None takes jax.random.key(0).
         chunk: number of samples evaluated at a time, and with `workers` or `out` sent and stored at
-            a time; None evaluates 256 at a time, and sends as many as take about two seconds.
+            a time; None evaluates 256 at a time, and sends at most 256 parts.
         workers: None, a number of processes, or an executor, as in `sweep`; the numbers are
             the same.
         out: path of a Zarr store to which each chunk of samples is written when it is done, as in
@@ -204,7 +204,7 @@ def tolerances(
             results, status = gathered_here(report, **points), np.zeros(samples, int)
         else:
             with crew_of(workers, "tolerances.workers") as crew:
-                batch = batch_of(**points, where="tolerances.evaluate", crew=crew)
+                batch = batch_of(**points, where="tolerances.evaluate")
                 results, status = gathered(
                     batch,
                     crew,
@@ -215,7 +215,6 @@ def tolerances(
                     plan={"deviations": hash_of(deviations)},
                     inputs=["deviations"],
                     dimension="sample",
-                    any_size=chunk is None,
                 )
     drawn = results["values"]
     code = status.max(initial=Status.OK.value)

@@ -283,7 +283,6 @@ def _batch(
         len(keys),
         width=BATCH,
         where="interval_coverage",
-        crew=crew,
         owner=assessed,
         place=(max_steps, kind),
     )

@@ -221,7 +221,7 @@ def _searched_by_workers(
     """Return u, status and cost at the ends of all searches; searches that were not carried out
     have the status LOST or INTERRUPTED."""
     with crew_of(workers, "multistart.workers") as crew:
-        batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
+        batch = batch_of(**_search(task, points, max_steps), where="multistart")
         results, status = gathered(
             batch,
             crew,

@@ -150,7 +150,7 @@ class AtOnce(Executor):
 
     def submit(self, function, /, *args, **options):
         future: Future = Future()
-        future.set_result(ComputedChunk({"x": args[0]}, f"worker {len(args[0])}", 0.0, 0))
+        future.set_result(ComputedChunk({"x": args[0]}, f"worker {len(args[0])}"))
         return future
 
 
@@ -173,9 +173,7 @@ def bookkeeping(chunks: int) -> None:
     for stored in (False, True):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "s.zarr")
-            store = ChunkStore(
-                path, {}, {}, {"x": ((), "float64")}, count=chunks, size=1, any_size=False
-            )
+            store = ChunkStore(path, {}, {}, {"x": ((), "float64")}, count=chunks, size=1)
             store.write(0, {"x": rows})  # what is needed once is not counted
             begin, cpu, memory = time.perf_counter(), time.process_time(), peak()
             for chunk, answer in dispatched(

@@ -20,7 +20,6 @@ from jaxbody.core.errors import Problems, Status, warn
 from jaxbody.core.workers.chunk_programs import (
     ChunkProgram,
     ComputedChunk,
-    FailedChunk,
     Types,
     exported,
     filled,
@@ -30,10 +29,8 @@ from jaxbody.core.workers.chunk_programs import (
 from jaxbody.core.workers.chunk_stores import ChunkStore, hash_of, nothing
 from jaxbody.core.workers.executors import Crew, check_workers, dispatched
 
-BUSY = 2.0  # time for which a chunk should keep a worker busy [s]
-FEWEST = 16  # chunks in a batch, so that workers end at about the same time
+MOST = 256  # chunks in a batch: sending and writing one takes milliseconds
 LARGEST = 2**26  # results of a chunk [bytes]
-TRIED = 4  # number of rows in a trial that measures the time of a row, over the width
 
 Report = Callable[[int, int], None]  # rows that are done, workers
 
@@ -110,28 +107,38 @@ def computed_here(
     apart, shared, rest = arrays_apart(function, tree)
     one, width = rows(0, 1), min(width, count)
 
-    def compiled(width: int) -> Any:
-        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
-        return jax.jit(apart, compiler_options=dict(OPTIMIZED)).lower(shared, given).compile()
-
-    def fitting() -> tuple[Any, int]:
-        program = compiled(width)
-        taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
-        if memory is not None and taken > memory and width > 1:
-            narrow = max(1, int(width * memory / taken))
-            return compiled(narrow), narrow
-        return program, width
-
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
     program, width = kept_by(
         owner,
         ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")),
-        fitting,
+        lambda: _fitting(apart, shared, one, width, memory),
     )
     for first in range(0, count, width):
         last = min(first + width, count)
         results = program(shared, [device_array(filled(x, 0, width)) for x in rows(first, last)])
         yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
+
+
+def _fitting(
+    function: Callable[..., Any],
+    shared: list[Any],
+    one: list[Any],
+    width: int,
+    memory: float | None,
+) -> tuple[Any, int]:
+    """Return function(shared, rows) compiled for `width` rows like `one`, or for as many as need no
+    more temporary memory than `memory` [bytes], and their number."""
+
+    def compiled(width: int) -> Any:
+        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
+        return jax.jit(function, compiler_options=dict(OPTIMIZED)).lower(shared, given).compile()
+
+    program = compiled(width)
+    taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
+    if memory is not None and taken > memory and width > 1:
+        width = max(1, int(width * memory / taken))
+        program = compiled(width)
+    return program, width
 
 
 def gathered_here(report: Report, **batch: Any) -> dict[str, np.ndarray]:
@@ -198,7 +205,6 @@ def batch_of(
     *,
     width: int,
     where: str,
-    crew: Crew,
     owner: Any,
     place: Any = (),
     memory: float | None = None,
@@ -213,65 +219,37 @@ def batch_of(
         count: number of rows.
         width: number of rows that are computed at a time.
         where: the place in the call, for messages.
-        crew: the workers.
         owner, place: the function from which `function` is made, and other values on which it
             depends.
         memory: temporary memory that these rows may take [bytes]; where they need more, fewer are
-            computed at a time. A chunk then has as many rows as keep a worker busy for BUSY, which
-            is measured. By default a chunk has `width` rows.
+            computed at a time. A chunk then has a part of the batch, so that there are at most MOST
+            chunks unless their results are larger than LARGEST. By default a chunk has `width`
+            rows.
 
-    Errors: NOT_SENT, OTHER_WORKER, BAD_WORKERS."""
+    Error: NOT_SENT."""
     apart, arrays, rest = arrays_apart(function, tree)
     shared, width = [np.asarray(x) for x in arrays], min(width, count)
-
-    def of_width(width: int) -> ChunkedBatch:
-        return ChunkedBatch(
-            exported(apart, shared, rows(0, 1), width, where), shared, rows, count, width
-        )
 
     shapes = tuple((x.shape, x.dtype) for x in [*shared, *rows(0, 1)])
     place = "batch", place, rest, shapes, count, width, memory, jax.config.read("jax_enable_x64")
 
     def sized() -> ChunkedBatch:
         """Return the batch to be kept, without references to its rows."""
-        batch = _sized(of_width, width, crew, memory, where)
-        return dataclasses.replace(batch, shared=[], rows=lambda first, last: [])
+        one, size = rows(0, 1), width
+        program = exported(apart, shared, one, width, where)
+        if memory is not None:
+            if memory < np.inf:
+                size = _fitting(apart, shared, one, width, memory)[1]
+            if size < width:
+                program = exported(apart, shared, one, size, where)
+            bytes_of_row = sum(
+                np.dtype(dtype).itemsize * int(np.prod(shape))
+                for shape, dtype in program.results.values()
+            )
+            size *= max(1, int(min(count / MOST, LARGEST / bytes_of_row) / size))
+        return ChunkedBatch(program, [], lambda first, last: [], count, size)
 
     return dataclasses.replace(kept_by(owner, place, sized), shared=shared, rows=rows)
-
-
-def _sized(
-    of_width: Callable[[int], ChunkedBatch],
-    width: int,
-    crew: Crew,
-    memory: float | None,
-    where: str,
-) -> ChunkedBatch:
-    """Return the batch with as many rows in a program as memory allows, and as many in a chunk as
-    keep a worker busy, both measured by a trial. If `memory` is None, a chunk has the rows of one
-    program."""
-
-    def tried(batch: ChunkedBatch) -> ComputedChunk | FailedChunk:
-        trial = batch.program, batch.shared, batch.rows(0, min(TRIED * batch.size, batch.count))
-        return next(answer for _, answer in dispatched(crew, [0], lambda _: trial, where))
-
-    batch = of_width(width)
-    if memory is None:
-        return batch
-    answer = tried(batch)
-    if isinstance(answer, ComputedChunk) and answer.memory > memory and width > 1:
-        width = max(1, int(width * memory / answer.memory))
-        batch = of_width(width)
-        answer = tried(batch)
-    if not isinstance(answer, ComputedChunk):  # it will fail again when it is computed
-        return batch
-    times = min(TRIED * width, batch.count) / width
-    most = min(
-        BUSY * times / answer.seconds,
-        LARGEST * times / sum(x.nbytes for x in answer.results.values()),
-        batch.count / width / FEWEST,
-    )
-    return dataclasses.replace(batch, size=width * max(1, round(most)))
 
 
 def computed(
@@ -311,7 +289,6 @@ def store_of(
     plan: dict[str, Any],
     inputs: Sequence[str],
     dimension: str,
-    any_size: bool = False,
 ) -> ChunkStore:
     """Return the store on disk for the results of a batch and for its rows, the inputs.
 
@@ -321,7 +298,6 @@ def store_of(
         plan: {word: text or number} that identifies the rows.
         inputs: names of the arrays of the rows.
         dimension: name of the dimension over the rows, such as "design".
-        any_size: whether an existing store may have chunks of another size.
 
     Errors: those of `ChunkStore`."""
     program = batch.program
@@ -341,7 +317,6 @@ def store_of(
         dimension=dimension,
         count=batch.count,
         size=batch.size,
-        any_size=any_size,
     )
 
 
@@ -412,7 +387,7 @@ def stored(
             made[first, last] = given_rows(first, last)
         return made[first, last]
 
-    given_rows, batch = batch.rows, dataclasses.replace(batch, size=store.size, rows=rows)
+    given_rows, batch = batch.rows, dataclasses.replace(batch, rows=rows)
     complete, lost = store.complete(), store.lost()
     missing = [
         i

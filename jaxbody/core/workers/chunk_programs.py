@@ -13,7 +13,6 @@ import os
 import re
 import socket
 import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -93,7 +92,6 @@ class LoadedProgram:
 
     call: Callable[..., dict[str, jax.Array]]
     width: int
-    memory: int  # temporary memory of a device [bytes]
 
 
 def exported(
@@ -255,20 +253,15 @@ def _compiled(program: ChunkProgram) -> LoadedProgram:
     wide = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in rows]
     same = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shared]
     compiled = jax.jit(call, compiler_options=dict(program.options)).lower(same, wide).compile()
-    return LoadedProgram(
-        compiled, width, getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0)
-    )
+    return LoadedProgram(compiled, width)
 
 
 @dataclass(frozen=True)
 class ComputedChunk:
-    """A finished chunk: its results, name of its worker, time of the computation without loading of
-    the program [s], and temporary memory of the program [bytes]."""
+    """A finished chunk: its results, and the name of its worker."""
 
     results: dict[str, np.ndarray]
     worker: str
-    seconds: float
-    memory: int
 
 
 @dataclass(frozen=True)
@@ -290,10 +283,8 @@ def compute_chunk(
     """Compute a chunk, by its program or by a function of jaxbody that calls it: function(program,
     shared, rows) -> results."""
     try:
-        memory = program.loaded().memory
-        begin = time.perf_counter()
         results = program(shared, rows) if function is None else function(program, shared, rows)
-        return ComputedChunk(results, worker_name(), time.perf_counter() - begin, memory)
+        return ComputedChunk(results, worker_name())
     except JaxbodyError as error:
         return FailedChunk(str(error), error.problems[0])
     except Exception as error:

@@ -59,8 +59,7 @@ class ChunkStore:
         inputs, results: {name: (shape of a row, type)} of the inputs and of the results.
         dimension: name of the dimension over the rows.
         count: number of rows.
-        size: number of rows in a chunk; an existing store keeps its own if `any_size`.
-        any_size: whether an existing store may have another size of chunks.
+        size: number of rows in a chunk.
 
     Errors: OTHER_STORE, NOT_SAVED, BAD_NAME, MISSING_EXTRA."""
 
@@ -74,10 +73,10 @@ class ChunkStore:
         dimension: str = "design",
         count: int,
         size: int,
-        any_size: bool,
     ):
         self.zarr = import_extra("zarr", "out")
-        self.path, self.inputs, self.dimension, self.count = path, tuple(inputs), dimension, count
+        self.path, self.inputs, self.dimension = path, tuple(inputs), dimension
+        self.count, self.size = count, size
         plan, arrays = (
             {"format": FORMAT, **plan, f"{dimension}s": count, "chunk": size},
             inputs | results,
@@ -101,7 +100,7 @@ class ChunkStore:
                 )
         if not path.exists():
             self._make(plan, arrays)
-        self.size: int = self._checked(plan, any_size)["chunk"]
+        self._check(plan)
         with self._writing():
             root = self.zarr.open_group(path, mode="r+")
         self.arrays = {name: root[name] for name in [*arrays, STATUS]}
@@ -130,8 +129,8 @@ class ChunkStore:
                 if not self.path.exists():
                     raise
 
-    def _checked(self, plan: dict[str, Any], any_size: bool) -> dict[str, Any]:
-        """Return the plan of the store. Error: OTHER_STORE if it is not that of the call."""
+    def _check(self, plan: dict[str, Any]) -> None:
+        """Error: OTHER_STORE if the plan of the store is not that of the call."""
         try:
             stored = json.loads((self.path / "zarr.json").read_text())["attributes"][PLAN]
         except (OSError, ValueError, KeyError, TypeError):
@@ -144,11 +143,7 @@ class ChunkStore:
                     hint="Name a folder that does not exist yet.",
                 )
             ) from None
-        differing = [
-            word
-            for word in {**plan, **stored}
-            if plan.get(word) != stored.get(word) and not (any_size and word == "chunk")
-        ]
+        differing = [word for word in {**plan, **stored} if plan.get(word) != stored.get(word)]
         if differing:
             each = [f"{word} {stored.get(word)} there, {plan.get(word)} here" for word in differing]
             raise JaxbodyError(
@@ -160,7 +155,6 @@ class ChunkStore:
                     hint="Repeat the call that it is from, or name another folder.",
                 )
             )
-        return stored
 
     def complete(self) -> set[int]:
         """Return the chunks with results."""

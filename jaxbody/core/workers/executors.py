@@ -1,10 +1,9 @@
 """Workers of a batch, and the chunks sent to them: this process, a number of processes of this
 machine by loky, or any executor of processes that the user gives.
 
-A chunk that is lost with its worker is sent again; one that fails three times is given up. A chunk
-that fails twice, by an error or with its worker, is sent a third time when no other is under way.
-Otherwise a chunk that ends every process that computes it would cause other chunks, which are lost
-with these processes, to be given up too."""
+A chunk that fails, by an error or with its worker, is sent again when no other is under way, and
+given up after three tries. If it were sent beside others, a chunk that ends every process that
+computes it would cause others, which are lost with these processes, to be given up too."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ import signal
 import tempfile
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
@@ -33,10 +32,8 @@ from jaxbody.core.workers.chunk_programs import (
 IDLE = 300  # time after which idle processes end [s]
 ONE_THREAD = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 FEWEST = 4  # chunks that are sent before any has come back
-TWICE = 2  # failures after which a chunk is sent alone
-MOST_ALONE = 8  # chunks that wait to be sent alone
-# most chunks given up, and most broken executors replaced, before anything is computed
-MOST_FIRST, MOST_RENEWALS = 4, 20
+TRIES = 3  # of a chunk, the first one beside others
+MOST_FIRST = 4  # chunks given up before anything is computed, after which the call ends
 
 
 class ThisProcess(Executor):
@@ -54,23 +51,17 @@ class ThisProcess(Executor):
 class Crew:
     """The workers of one call.
 
-    `executor`: computes the chunks; `make` makes another in place of a broken one; `most`: largest
-    number of chunks that are sent and not finished, None if it follows from the number of workers
-    that have answered; `close(executor, at_once)` ends its processes."""
+    `executor`: computes the chunks; `make`: makes another in place of a broken one, None for an
+    executor of the user; `most`: largest number of chunks that are sent and not finished, None if
+    it follows from the number of workers that have answered."""
 
     def __init__(
         self,
         executor: Executor,
         make: Callable[[], Executor] | None = None,
         most: int | None = None,
-        close: Any = None,
     ):
-        self.executor, self.make, self.most, self.close = (
-            executor,
-            make,
-            most,
-            close or (lambda executor, at_once: None),
-        )
+        self.executor, self.make, self.most = executor, make, most
         self.seen: set[str] = set()  # workers that have answered
 
     def room(self, sent: int) -> bool:
@@ -79,8 +70,7 @@ class Crew:
         return sent < (self.most or 4 * max(FEWEST, len(self.seen)))
 
     def renew(self, where: str) -> None:
-        """Replace a broken executor. Error: BAD_WORKERS if it is the user's, of a kind that cannot
-        be made again."""
+        """Replace a broken executor. Error: BAD_WORKERS if it is the user's."""
         if self.make is None:
             raise JaxbodyError(
                 Problem(
@@ -94,8 +84,14 @@ class Crew:
                     ),
                 )
             )
-        self.close(self.executor, True)
+        self.end()
         self.executor = self.make()
+
+    def end(self) -> None:
+        """End the processes that were started here, at once."""
+        if self.make is not None:
+            executor: Any = self.executor
+            executor.shutdown(wait=True, kill_workers=True)
 
 
 @contextmanager
@@ -112,9 +108,8 @@ def crew_of(workers: Any, where: str) -> Iterator[Crew]:
     try:
         yield crew
     except BaseException:
-        crew.close(crew.executor, True)
+        crew.end()
         raise
-    crew.close(crew.executor, False)
 
 
 def check_workers(workers: Any, where: str) -> None:
@@ -163,31 +158,9 @@ def _crew(workers: Any, where: str) -> Crew:
     if workers is None:
         return Crew(ThisProcess(), most=1)
     if isinstance(workers, int):
-        return Crew(
-            _processes(workers, where),
-            lambda: _processes(workers, where),
-            2 * workers,
-            _close_processes,
-        )
-    if type(workers) is not ProcessPoolExecutor:
-        return Crew(workers)
-
-    def make() -> Executor:
-        kind: Any = workers  # its arguments have no public names
-        return ProcessPoolExecutor(
-            kind._max_workers,
-            kind._mp_context,
-            initializer=kind._initializer,
-            initargs=kind._initargs,
-        )
-
-    return Crew(
-        workers,
-        make,
-        close=lambda executor, _: (
-            None if executor is workers else executor.shutdown(wait=False, cancel_futures=True)
-        ),
-    )
+        make = functools.partial(_processes, workers, where)
+        return Crew(make(), make, 2 * workers)
+    return Crew(workers)
 
 
 def _processes(number: int, where: str) -> Executor:
@@ -213,11 +186,6 @@ def _processes(number: int, where: str) -> Executor:
     return executor
 
 
-def _close_processes(executor: Any, at_once: bool) -> None:
-    if at_once:
-        executor.shutdown(wait=True, kill_workers=True)
-
-
 @functools.cache
 def _temporary_folder() -> tempfile.TemporaryDirectory:
     return tempfile.TemporaryDirectory(prefix="jaxbody-programs-")  # removed when this process ends
@@ -240,84 +208,65 @@ def dispatched(
         where: the place in the call, for messages.
         continued: whether other chunks of the batch have been computed before.
 
-    Errors: OTHER_WORKER; BAD_WORKERS, also where processes end before they compute anything; LOST
-    where the first chunks all fail, unless `continued`."""
-    waiting, again, alone = iter(chunks), deque[int](), deque[int]()
+    Errors: OTHER_WORKER; BAD_WORKERS if an executor of the user breaks; LOST if the first chunks
+    all fail, unless `continued`."""
+    waiting, again = iter(chunks), deque[int]()
     failures: Counter[int] = Counter()
+    given_up = 0
     sent: dict[Future[Any], int] = {}
 
-    def send(chunk: int) -> bool:
+    def send(chunk: int) -> None:
         try:
-            sent[crew.executor.submit(compute_chunk, *arguments(chunk))] = chunk
-        except futures.BrokenExecutor:
-            (alone if failures[chunk] == TWICE else again).appendleft(chunk)
-            return False
-        return True
+            future = crew.executor.submit(compute_chunk, *arguments(chunk))
+        except futures.BrokenExecutor as error:
+            future = Future()
+            future.set_exception(error)
+        sent[future] = chunk
 
-    def given_up(chunk: int, why: FailedChunk) -> bool:
-        failures[chunk] += 1
-        if failures[chunk] <= TWICE:
-            (alone if failures[chunk] == TWICE else again).append(chunk)
-            return False
-        lost = sum(n > TWICE for n in failures.values())
-        if lost >= MOST_FIRST and not crew.seen and not continued:
-            raise JaxbodyError(
-                Problem(
-                    "LOST",
-                    where,
-                    (
-                        f"none of the first {lost} chunks could be computed; the last one: "
-                        f"{why.message}"
-                    ),
-                    hint="Compute a few designs without workers=.",
-                )
-            )
-        return True
-
-    renewals = 0
     try:
         while True:
-            broken = False
-            # chunks to be sent alone do not wait until the end, as all may fail
-            full = len(alone) >= (MOST_ALONE if crew.seen else 1)
-            while (
-                not full
-                and not broken
-                and crew.room(len(sent))
-                and (chunk := again.popleft() if again else next(waiting, None)) is not None
-            ):
-                broken = not send(chunk)
-            if not sent and not broken and alone:
-                broken = not send(alone.popleft())
-            if not sent and not broken:
+            # if all fail, it is seen before all are sent
+            going = continued or crew.seen or not again
+            while going and crew.room(len(sent)) and (chunk := next(waiting, None)) is not None:
+                send(chunk)
+            if not sent and again:
+                send(again.popleft())
+            if not sent:
                 return
-            finished = futures.wait(sent, return_when=futures.FIRST_COMPLETED).done if sent else ()
-            broken = broken or any(map(_is_of_broken, finished))
+            finished = futures.wait(sent, return_when=futures.FIRST_COMPLETED).done
+            broken = any(map(_is_of_broken, finished))
             for future in [*sent] if broken else finished:
                 chunk, answer = sent.pop(future), _answer(future)
                 if isinstance(answer, ComputedChunk):
                     crew.seen.add(answer.worker)
-                elif not given_up(chunk, answer):
-                    continue
+                else:
+                    failures[chunk] += 1
+                    if failures[chunk] < TRIES:
+                        again.append(chunk)
+                        continue
+                    given_up += 1
+                    if given_up >= MOST_FIRST and not crew.seen and not continued:
+                        raise _none_computed(where, given_up, answer)
                 yield chunk, answer
             if broken:
-                renewals = 0 if crew.seen else renewals + 1
-                if renewals > MOST_RENEWALS:
-                    raise JaxbodyError(
-                        Problem(
-                            "BAD_WORKERS",
-                            where,
-                            f"broke {renewals} times before anything was computed",
-                            hint=(
-                                "Processes end as soon as they start: is there memory for them, "
-                                "and can they import jaxbody?"
-                            ),
-                        )
-                    )
                 crew.renew(where)
     finally:
         for future in sent:
             future.cancel()
+
+
+def _none_computed(where: str, number: int, last: FailedChunk) -> JaxbodyError:
+    return JaxbodyError(
+        Problem(
+            "LOST",
+            where,
+            f"none of the first {number} chunks could be computed; the last one: {last.message}",
+            hint=(
+                "Compute a few designs without workers=. Is there memory for the processes, and "
+                "can they import jaxbody?"
+            ),
+        )
+    )
 
 
 def _is_of_broken(future: Future[Any]) -> bool:

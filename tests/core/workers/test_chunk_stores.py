@@ -17,7 +17,7 @@ pytest.importorskip("xarray", reason="needs jaxbody[xarray]")
 ARRAYS = {"mass": ((), "float64"), "f": ((2,), "float64"), "n": ((), "int64")}
 
 
-def store_at(path, plan=None, size=4, any_size=False, arrays=ARRAYS, count=10):
+def store_at(path, plan=None, size=4, arrays=ARRAYS, count=10):
     inputs, results = (
         {name: kind for name, kind in arrays.items() if (name == "mass") == given}
         for given in (True, False)
@@ -29,7 +29,6 @@ def store_at(path, plan=None, size=4, any_size=False, arrays=ARRAYS, count=10):
         results,
         count=count,
         size=size,
-        any_size=any_size,
     )
 
 
@@ -81,11 +80,6 @@ def test_a_store_of_another_call_is_refused_with_what_differs(tmp_path, changed,
     with pytest.raises(jb.JaxbodyError, match=words) as error:
         store_at(tmp_path / "s.zarr", **changed)
     assert error.value.code == "OTHER_STORE"
-
-
-def test_where_the_size_is_open_it_is_that_of_the_store(tmp_path):
-    store_at(tmp_path / "s.zarr")
-    assert store_at(tmp_path / "s.zarr", size=7, any_size=True).size == 4
 
 
 @pytest.mark.parametrize("content", [None, "text", '{"attributes": {"other": 1}}'])

@@ -134,15 +134,15 @@ def test_a_poisonous_chunk_is_recorded_and_its_neighbors_are_done(monkeypatch):
 
 
 @pytest.mark.long
-def test_the_standard_pool_is_made_anew_when_it_breaks(monkeypatch):
+def test_a_standard_pool_that_breaks_is_reported(monkeypatch):
     monkeypatch.setattr("jaxbody.core.workers.executors.compute_chunk", poisonous)
     over = {"body.mass": np.array([300.0, 310.0, POISON, 340.0])}
     with (
         ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
-        pytest.warns(jb.JaxbodyWarning, match="LOST"),
+        pytest.raises(jb.JaxbodyError, match="Give workers= a number of processes") as error,
     ):
-        result = jb.sweep(CAR, quick, over, chunk=1, workers=pool)
-    np.testing.assert_array_equal(result["status"], [0, 0, jb.Status.LOST, 0])
+        jb.sweep(CAR, quick, over, chunk=1, workers=pool)
+    assert error.value.code == "BAD_WORKERS"
 
 
 def other_version():
