@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from importlib import metadata, resources
+from importlib import metadata
 from typing import Any
 
 import jax
@@ -158,29 +158,11 @@ def types_of(arrays: dict[str, Any]) -> Types:
 
 
 @functools.cache
-def hash_of_source() -> str:
-    """Return a hash of all files of jaxbody."""
-    source = hashlib.sha256()
-    for file in sorted(_sources(resources.files("jaxbody")), key=str):  # also in a zip
-        source.update(file.read_bytes())
-    return source.hexdigest()
-
-
-def _sources(folder: Any) -> list[Any]:
-    return [
-        file
-        for x in folder.iterdir()
-        for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])
-    ]
-
-
-@functools.cache
 def versions() -> tuple[tuple[str, str], ...]:
-    """Return the versions on which numbers depend: jaxbody with a hash of its source, JAX and its
-    compiler, and the kind of device."""
+    """Return the versions on which numbers depend: jaxbody, JAX and its compiler, and the kind of
+    device. The name of a program is a hash of all that it computes."""
     return (
-        ("jaxbody", f"{metadata.version('jaxbody')} of source {hash_of_source()[:8]}"),
-        *((name, metadata.version(name)) for name in ("jax", "jaxlib")),
+        *((name, metadata.version(name)) for name in ("jaxbody", "jax", "jaxlib")),
         ("device", jax.default_backend()),
     )
 

@@ -3,7 +3,6 @@ that would compute something else."""
 
 import dataclasses
 import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -241,23 +240,6 @@ def test_threads_of_one_process_compute_one_after_the_other(monkeypatch):
         answers = list(pool.map(lambda i: compute_chunk(programs[i % 2], [], matrices), range(12)))
     assert len(most) == 36 and max(most) == 1
     assert all((answer.results["y"] == alone[i % 2]).all() for i, answer in enumerate(answers))
-
-
-FROM_A_ZIP = """
-import sys
-sys.path.insert(0, {archive!r})
-from jaxbody.core.compilation.compile_options import OPTIMIZED
-from jaxbody.core.workers import chunk_programs
-assert chunk_programs.__file__.startswith({archive!r})
-print(chunk_programs.hash_of_source())
-"""
-
-
-@pytest.mark.long
-def test_the_source_is_the_same_from_a_zip(tmp_path):
-    archive = shutil.make_archive(str(tmp_path / "jaxbody"), "zip", PACKAGE, "jaxbody")
-    script = FROM_A_ZIP.format(archive=archive)
-    assert output_of(script) == [chunk_programs.hash_of_source()]
 
 
 LAPACK = """
