@@ -109,28 +109,8 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
     ),
     "views": ("view",),
 }
-_RENAMED = {  # names that were public
-    "Blocks": "BlockAdjoint",
-    "ElementDeformation": "Elongation",
-    "ElementForce": "sensors.LoadCell",
-    "Euler": "EulerAngles",
-    "PointMotion": "Position",
-    "SupportReaction": "sensors.Reaction",
-    "Tilt": "sensors.Inclinometer",
-    "Unevenness": "vibration.RoadRoughness",
-    "backbones": "backbone_curves",
-    "bands": "confidence_bands",
-    "codes": "error_codes",
-    "coverage": "fitting.interval_coverage",
-    "matched_record": "shock.spectrum_compatible_record",
-    "paths": "parameter_paths",
-    "profile": "profile_likelihood",
-    "track": "track_modes",
-    "weighted": "vibration.weighted_response",
-    "weighting": "vibration.frequency_weighting",
-}
 hand_down(
     assembled_reference=("jaxbody.mechanics.constraints", "assembled_reference"),
     picture_of=("jaxbody.views.plots.plots_of_results", "picture_of"),
 )
-__getattr__, __dir__, __all__ = late_names("jaxbody", _NAMES, _MODULES, _RENAMED)
+__getattr__, __dir__, __all__ = late_names("jaxbody", _NAMES, _MODULES)

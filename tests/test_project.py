@@ -431,18 +431,6 @@ def test_the_root_has_what_a_first_script_needs():
     assert 70 <= len(EXPORTED) <= 90
 
 
-@pytest.mark.parametrize("package", [jb, jb.laws, jb.plots], ids=["jaxbody", "laws", "plots"])
-def test_an_old_name_is_refused_with_the_new_one(package):
-    successor = inspect.getclosurevars(package.__getattr__).nonlocals["successor"]
-    renamed = inspect.getclosurevars(successor).nonlocals["renamed"]
-    assert len(renamed) > 1
-    for old in renamed:
-        with pytest.raises(AttributeError, match=f"no attribute '{old}'; use ") as error:
-            getattr(package, old)
-        new = str(error.value).rpartition(f"use {package.__name__}.")[2]
-        assert callable(operator.attrgetter(new)(package))
-
-
 def test_a_name_of_a_family_is_not_one_of_the_root():
     with pytest.raises(AttributeError, match=r"no attribute 'Gyro'; use jaxbody\.sensors\.Gyro$"):
         _ = jb.Gyro

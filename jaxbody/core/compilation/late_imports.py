@@ -14,7 +14,6 @@ def late_names(
     package: str,
     names: dict[str, tuple[str, ...]],
     modules: dict[str, str] | None = None,
-    renamed: dict[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names are imported at their
     first use; its stub lists the same names for editors and type checkers.
@@ -23,7 +22,6 @@ def late_names(
         package: name of the package, such as "jaxbody.model.laws"
         names: {module in the package: public names}
         modules: {public name of a module: module}
-        renamed: {former public name: place of its successor in the package}
     """
     places = {name: (module, name) for module, those in names.items() for name in those}
     modules = modules or {}
@@ -40,14 +38,12 @@ def late_names(
         return thing
 
     def successor(name: str) -> str:
-        """Return the present place of a former public name, for the message; "" if there is none.
-        Python asks for submodules, and inspection for private names, in the same way."""
+        """Return the module that has a name, for the message; "" if there is none. Python asks for
+        submodules, and inspection for private names, in the same way."""
         if name[0] == "_" or importlib.util.find_spec(f"{package}.{name}"):
             return ""
-        place = (renamed or {}).get(name) or next(
-            (f"{each}.{name}" for each in modules if name in __getattr__(each).__all__), ""
-        )
-        return f"; use {package}.{place}" if place else ""
+        homes = [each for each in modules if name in __getattr__(each).__all__]
+        return f"; use {package}.{homes[0]}.{name}" if homes else ""
 
     public = sorted([*places, *modules])
     return __getattr__, lambda: public, public

@@ -12,6 +12,4 @@ _NAMES = {
     "spring_laws": ("AirSpring", "BumpStop", "Digressive", "Friction", "Polynomial", "TensionOnly"),
     "tabulated_laws": ("Tabulated",),
 }
-__getattr__, __dir__, __all__ = late_names(
-    "jaxbody.model.laws", _NAMES, renamed={"Stop": "BumpStop", "Table": "Tabulated"}
-)
+__getattr__, __dir__, __all__ = late_names("jaxbody.model.laws", _NAMES)

@@ -76,13 +76,4 @@ _NAMES = {
         "plot_suspension_curves",
     ),
 }
-_RENAMED = {  # names that were public
-    "load_path": "plot_load_path",
-    "plot_backbones": "plot_backbone_curves",
-    "plot_bands": "plot_confidence_bands",
-    "plot_branches": "plot_tracked_modes",
-    "plot_coverage": "plot_interval_coverage",
-    "plot_matched_record": "plot_spectrum_compatible_record",
-    "plot_profile": "plot_profile_likelihood",
-}
-__getattr__, __dir__, __all__ = late_names("jaxbody.views.plots", _NAMES, renamed=_RENAMED)
+__getattr__, __dir__, __all__ = late_names("jaxbody.views.plots", _NAMES)
