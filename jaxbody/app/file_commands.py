@@ -24,7 +24,7 @@ from jaxbody.app.command_options import (
 )
 from jaxbody.app.outcomes import Outcome
 
-FLAT = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")
+FLAT = (".csv", ".png", ".svg", ".pdf")
 IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
 

@@ -1,5 +1,5 @@
-"""Results of a command, saved with --out: tables as text, Parquet or netCDF files; a picture; or a
-page with a view in three dimensions."""
+"""Results of a command, saved with --out: tables as text; a picture; or a page with a view in three
+dimensions."""
 
 import csv
 import io
@@ -10,8 +10,7 @@ import numpy as np
 
 import jaxbody as jb
 from jaxbody.core.arrays import indices
-from jaxbody.core.datasets import Labeled, frame_of
-from jaxbody.core.errors import JaxbodyError, Problem, import_extra
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.printed_tables import Words, printed_unit, unit_words
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import PrintedTable, in_numpy, tables_in
@@ -97,19 +96,17 @@ def series(columns: dict[str, Any]) -> PrintedTable:
 
 
 def save(outcome: Any, path: Path, units: Any) -> None:
-    """Save an outcome in the format of the path's extension; text tables and pictures are in these
-    units, other formats in SI. Errors: UNKNOWN_FORMAT, MISSING_EXTRA, NOT_SAVED."""
+    """Save an outcome in the format of the path's extension, in these units. Errors:
+    UNKNOWN_FORMAT, MISSING_EXTRA, NOT_SAVED."""
     with writing(path):
         match path.suffix:
             case ".csv":
                 path.write_text("\n".join(map(_text, _tables(outcome, units))), encoding="utf-8")
-            case ".parquet":
-                import_extra("pyarrow.parquet", "--out").write_table(_arrow(_frame(outcome)), path)
-            case ".nc":
-                _dataset(outcome).to_netcdf(path, engine="scipy")
             case ".html":
                 outcome.view().save(path)
-            case _ if draw := outcome.draw or getattr(outcome.results[0], "plot", None):
+            case ".png" | ".svg" | ".pdf" if draw := (
+                outcome.draw or getattr(outcome.results[0], "plot", None)
+            ):
                 figure = draw().figure
                 label_in(figure, unit_words(units))
                 figure.savefig(path, dpi=130)
@@ -118,7 +115,7 @@ def save(outcome: Any, path: Path, units: Any) -> None:
                     Problem(
                         "UNKNOWN_FORMAT",
                         "--out",
-                        "is a picture, which this command does not draw",
+                        "is no text table, nor a picture that this command draws",
                         path,
                         ".csv",
                     )
@@ -155,76 +152,6 @@ def _series_in(table: PrintedTable, words: Words) -> PrintedTable:
         digits = 5 - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0)))
         columns[i] = [round(x, int(n)) + 0.0 for x, n in zip(column.tolist(), digits, strict=True)]
     return PrintedTable(table.title, tuple(heads), [*zip(*columns, strict=True)], table.note)
-
-
-def _labeled(outcome: Any) -> Labeled:
-    """Return the first result with labeled arrays. Error: UNKNOWN_FORMAT."""
-    labeled = next((result for result in outcome.results if isinstance(result, Labeled)), None)
-    if labeled is None:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                "--out",
-                "is for labeled numbers, which this command has none of",
-                limit=".csv",
-            )
-        )
-    return labeled
-
-
-def _frame(outcome: Any) -> Any:
-    """Return a pandas table of the series or of a result, with units in its attributes."""
-    if outcome.series is None:
-        labeled = _labeled(outcome)
-        return frame_of(_real(labeled.to_xarray()), labeled.index, "--out")
-    table = outcome.series()
-    frame = import_extra("pandas", "--out").DataFrame(
-        np.array(table.rows, float), columns=list(table.columns)
-    )
-    frame.attrs["units"] = {name: split_unit(name)[1] or "" for name in table.columns}
-    return frame
-
-
-def _arrow(frame: Any) -> Any:
-    """Return an Arrow table with the unit of each column of numbers in its metadata, which
-    `read_record` reads."""
-    pyarrow = import_extra("pyarrow", "--out")
-    table, units = pyarrow.Table.from_pandas(frame), frame.attrs["units"]
-    fields = [
-        field.with_metadata({"unit": units.get(field.name) or "1"})
-        if pyarrow.types.is_floating(field.type)
-        else field
-        for field in table.schema
-    ]
-    return table.cast(pyarrow.schema(fields, metadata=table.schema.metadata))
-
-
-def _dataset(outcome: Any) -> Any:
-    """Return an xarray dataset of the series over its first column, or of a result."""
-    if outcome.series is None:
-        return _real(_labeled(outcome).to_xarray())
-    table = outcome.series()
-    (index, over), *columns = zip(table.columns, np.array(table.rows, float).T, strict=True)
-    return import_extra("xarray", "--out").Dataset(
-        {_plain(name): (_plain(index), x) for name, x in columns}, {_plain(index): over}
-    )
-
-
-def _real(data: Any) -> Any:
-    """Replace complex variables of a dataset by two real ones, which files can store: "pole" by
-    "pole_real" and "pole_imaginary"."""
-    for name, x in list(data.data_vars.items()):
-        if np.iscomplexobj(x):
-            real, imaginary = (part.assign_attrs(x.attrs) for part in (x.real, x.imag))
-            data = data.drop_vars(name).assign(
-                {f"{name}_real": real, f"{name}_imaginary": imaginary}
-            )
-    return data
-
-
-def _plain(name: str) -> str:
-    """Replace slashes in a name, which netCDF reserves for groups."""
-    return name.replace("/", " per ")
 
 
 def _text(table: PrintedTable) -> str:

@@ -38,8 +38,7 @@ class Labeled(ABC):
 
         The result has `attrs["units"]`, {column: unit}, "" for a column without a unit. Errors:
         UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
-        import_extra("pandas", "to_pandas")
-        return frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
+        return _frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
 
 
 def frame_of_table(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Any:
@@ -58,7 +57,7 @@ def frame_of_table(columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Any
     return frame
 
 
-def frame_of(data: Any, over: str, where: str) -> Any:
+def _frame_of(data: Any, over: str, where: str) -> Any:
     """Return the variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes
     it."""
     pandas = import_extra("pandas", where)

@@ -239,111 +239,6 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     assert "suspension.stiffness" in (folder / "fit.csv").read_text()
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "words, column, label",
-    [
-        (["modes", "car.toml"], "frequency", "mode"),
-        (["modes", "car.toml", "--damped"], "decay_rate", "mode"),
-        (
-            ["response", "car.toml", "--input", "road.z", "--output", "body.z", "--points", "9"],
-            "body.z / road.z [1]",
-            "frequency [Hz]",
-        ),
-        (["load-cases", "car.toml", "--case", "bump=0,0,3"], "load_factor", "case"),
-        (["simulate", "car.toml", "--duration", "0.1"], "position of body z [m]", "time [s]"),
-    ],
-)
-def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, folder):
-    pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
-    assert commands.main([*words, "--out", "numbers.csv"]) == 0
-    assert commands.main([*words, "--out", "numbers.nc"]) == 0
-    data = xarray.open_dataset("numbers.nc", engine="scipy")
-    read = np.asarray(data[column.replace("/", " per ")])
-    assert read.size and label in data[column.replace("/", " per ")].dims
-    assert commands.main([*words, "--out", "numbers.parquet"]) == 0
-    frame = pandas.read_parquet("numbers.parquet")
-    np.testing.assert_array_equal(frame[column], read)
-    assert label in (frame.index.name, *frame.columns)
-    if "[" in label:
-        head, *rows = [row.split(",") for row in (folder / "numbers.csv").read_text().splitlines()]
-        found = np.array(rows, float)[:, head.index(column)]
-        # four digits of each number and of their variation
-        np.testing.assert_allclose(found, read, rtol=5e-4, atol=5e-4 * np.ptp(read))
-
-
-@pytest.mark.long
-def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    assert (
-        commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.parquet"])
-        == 0
-    )
-    assert (
-        commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.csv"])
-        == 0
-    )
-    columns = {
-        "z": ("position of body z", "m"),
-        "force": ("force of tyre", "N"),
-        "acc": ("seat", "m/s2"),
-    }
-    in_parquet = {name: f"{column} [{unit}]" for name, (column, unit) in columns.items()}
-    records = [
-        jb.read_record("motion.parquet", time="time [s]", channels=in_parquet),
-        jb.read_record(
-            "motion.csv",
-            time="time",
-            channels={name: column for name, (column, _) in columns.items()},
-        ),
-    ]
-    assert records[0].units == records[1].units == {"z": "m", "force": "N", "acc": "m/s2"}
-    for name in columns:
-        one, two = records[0][name], records[1][name]  # the text has four digits
-        np.testing.assert_allclose(two, one, rtol=5e-4, atol=5e-4 * np.ptp(one))
-    assert commands.main(["modes", "measured.toml", "--out", "modes.parquet"]) == 0
-    fields = parquet.read_schema("modes.parquet")
-    stated = {
-        name: fields.field(name).metadata[b"unit"].decode()
-        for name in ("frequency", "damping_ratio", "eigenvalue")
-    }
-    assert stated == {"frequency": "Hz", "damping_ratio": "1", "eigenvalue": "rad2/s2"}
-
-
-@pytest.mark.long
-def test_complex_numbers_have_the_same_names_in_parquet_and_netcdf(capsys, folder):
-    pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
-    for name in ("modes.parquet", "modes.nc"):
-        assert commands.main(["modes", "measured.toml", "--damped", "--out", name]) == 0
-    frame, data = (
-        pandas.read_parquet("modes.parquet"),
-        xarray.open_dataset("modes.nc", engine="scipy"),
-    )
-    car = jb.read_model("measured.toml")
-    poles = jb.complex_modes(jb.linearize(car, jb.equilibrium(car))).poles
-    for half, part in (("real", np.real), ("imaginary", np.imag)):
-        np.testing.assert_array_equal(data[f"pole_{half}"], part(poles))
-        np.testing.assert_array_equal(frame.filter(like=f"pole_{half}["), part(poles))
-        assert (
-            data[f"pole_{half}"].attrs["units"] == frame.attrs["units"][f"pole_{half}[0]"] == "1/s"
-        )
-    names = {
-        column.partition("[")[0] for column in frame if "_real" in column or "_imaginary" in column
-    }
-    assert names == {
-        str(name) for name in data.data_vars if str(name).endswith(("_real", "_imaginary"))
-    }
-
-
-def test_the_package_for_parquet_is_named_when_it_is_missing(capsys, monkeypatch, folder):
-    pytest.importorskip("xarray")
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    assert commands.main(["modes", "car.toml", "--out", "numbers.parquet"]) == 2
-    said = capsys.readouterr().err
-    assert "MISSING_EXTRA" in said and "jaxbody[files]" in said
-
-
 def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
     assert commands.main(["fit", "car.toml"]) == 2
     said = capsys.readouterr().err
@@ -686,9 +581,12 @@ def test_values_are_set_by_name_and_pattern(capsys):
         ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
         (
             "modes car.toml --out modes.xls",
-            "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf .html)",
+            "--out: is modes.xls (allowed: .csv .png .svg .pdf .html)",
         ),
-        ("check car.toml --out car.png", "--out: is a picture, which this command does not draw"),
+        (
+            "check car.toml --out car.png",
+            "--out: is no text table, nor a picture that this command draws",
+        ),
         ("show car.toml --out none/car.png", "none/car.png: cannot be written"),
         (
             "response car.toml --input z --output body.z",
