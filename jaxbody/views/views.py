@@ -4,7 +4,7 @@ browser, one HTML file, or pictures."""
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -25,7 +25,7 @@ from jaxbody.motion.trajectories import Trajectory
 from jaxbody.suspension.alignment_curves import SuspensionCurves
 from jaxbody.vibration.linearizations import LinearSystem
 from jaxbody.vibration.natural_modes import ModalResult
-from jaxbody.views.browser_pages import LiveView, Vibration, page_of
+from jaxbody.views.browser_pages import page_of
 from jaxbody.views.scenes.animations import Animation, Camera, camera_for
 from jaxbody.views.scenes.drawn_frames import Painter, save_gif, save_mp4, save_png
 from jaxbody.views.scenes.poses import PoseSequence, along, over_travel, still, vibrating
@@ -43,9 +43,8 @@ VIEWED = (Model, Equilibrium, Trajectory, SuspensionCurves, ModalResult)
 
 class View(Printed):
     """A view in three dimensions, as returned by `jb.view`: `show()` opens it in a browser,
-    `serve()` does so with sliders for mode, amplitude and phase, `save(path)` writes .html, .png,
-    .gif or .mp4, `plot()` draws it into axes; in a notebook it is shown inline. `animation` has all
-    drawn parts with their poses.
+    `save(path)` writes .html, .png, .gif or .mp4, `plot()` draws it into axes; in a notebook it is
+    shown inline. `animation` has all drawn parts with their poses.
 
     >>> jb.view(jb.presets.quarter_car()).animation.part("bodies", "wheel", "solid").color
     '#e0803a'
@@ -57,26 +56,20 @@ class View(Printed):
         camera: Camera,
         names: bool,
         speed: float | None,
-        vibration: Vibration | None = None,
+        menu: tuple[Callable[[int], Animation], int, int] | None = None,
     ):
-        self.animation, self.camera, self.names, self.speed, self.vibration = (
-            animation,
-            camera,
-            names,
-            speed,
-            vibration,
-        )
+        """`menu`: the animation of a mode by its number, the number that is shown first, and the
+        largest one."""
+        self.animation, self.camera, self.names = animation, camera, names
+        self.speed, self.menu = speed, menu
 
     def to_html(self) -> str:
         """Return the text of one HTML file that needs no network. Error: MISSING_EXTRA."""
-        animations, shown, vibration = [self.animation], 0, self.vibration
-        if vibration is not None and len(vibration.numbers) == 1:
-            last, shown = min(vibration.most, MOST_MODES), vibration.numbers[0] - 1
-            animations = [
-                vibration.drawn((k,), vibration.amplitude, vibration.phase)
-                for k in range(1, max(last, shown + 1) + 1)
-            ]
-        return page_of(animations, self.camera, shown, names=self.names)
+        if self.menu is None:
+            return page_of([self.animation], self.camera, names=self.names)
+        drawn, number, last = self.menu
+        animations = [drawn(k) for k in range(1, last + 1)]
+        return page_of(animations, self.camera, number - 1, names=self.names)
 
     def save(self, path: Any, *, at: float = 0.0, width: int | None = None) -> Path:
         """Write a file and return its path: .html plays in any browser offline, .gif and .mp4 are
@@ -135,24 +128,6 @@ class View(Printed):
         ) as file:
             file.write(self.to_html())
         webbrowser.open(Path(file.name).as_uri())
-
-    def serve(self, *, port: int = 0, browser: bool = True) -> LiveView:
-        """Show the view live in a browser; this process computes the pictures. Sliders change the
-        mode, its amplitude and its phase while it vibrates, or the time of a motion. A file from
-        `save` has only the slider for time.
-
-        Args:
-            port: port of the server, which is reachable from this machine only; 0 takes a free one.
-            browser: whether to open it in a browser; its `url` is printed with it.
-
-        Return the live view: `stop()` ends it; at the end of a script, `wait()` keeps it running
-        until Ctrl+C. Errors: BAD_NUMBER, MISSING_EXTRA."""
-        with Problems() as problems:
-            port = whole_number(port, "View.serve port", problems, least=0)
-        live = LiveView(self.animation, self.camera, self.names, self.vibration, port)
-        if browser:
-            webbrowser.open(live.url)
-        return live
 
     def _repr_html_(self) -> str:
         page = escape(self.to_html(), quote=True)
@@ -283,7 +258,7 @@ def view(
         ]
     pace = _speed(given, speed)
 
-    def drawn(numbers: Sequence[int], amplitude: float | None, phase: float) -> Animation:
+    def drawn(numbers: Sequence[int]) -> Animation:
         sequences: dict[str, PoseSequence] = {}
         for name, thing in given.items():
             if isinstance(thing, Trajectory):
@@ -297,7 +272,7 @@ def view(
             elif isinstance(thing, ModalResult):
                 for k in numbers:
                     label = f"{name}, mode {k}".removeprefix(", ") if len(numbers) > 1 else name
-                    sequences[label] = vibrating(thing, k, state, amplitude, phase)
+                    sequences[label] = vibrating(thing, k, state, amplitude, float(turn))
             elif isinstance(thing, SuspensionCurves):
                 sequences[name] = over_travel(thing)
             elif isinstance(thing, Equilibrium):
@@ -326,16 +301,17 @@ def view(
             next(iter(animations.values())) if len(animations) == 1 else side_by_side(animations)
         )
 
-    animation = drawn(numbers, amplitude, float(turn))
+    animation = drawn(numbers)
     modes = [thing.frequency.shape[0] for thing in given.values() if isinstance(thing, ModalResult)]
-    vibration = (
-        Vibration(drawn, tuple(numbers), min(modes), amplitude, float(turn)) if modes else None
-    )
+    menu = None
+    if modes and len(numbers) == 1:
+        last = max(min(*modes, MOST_MODES), numbers[0])
+        menu = (lambda k: drawn((k,))), numbers[0], last
     if pace not in (None, 1.0):
         animation = replace(
             animation, notes=(*animation.notes, f"{pace:g} times the speed of the motion")
         )
-    return View(animation, camera_for(animation, seen_from), names, pace, vibration)
+    return View(animation, camera_for(animation, seen_from), names, pace, menu)
 
 
 def _named(what: Any, problems: Problems) -> dict[str, Any]:

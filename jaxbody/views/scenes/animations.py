@@ -79,7 +79,6 @@ class Animation:
     seen_from: tuple[float, float] = (32.0, 24.0)
     title: str = ""
     notes: tuple[str, ...] = ()  # scales of motions, arrows and the grid
-    amplitude: float = 0.0  # largest displacement of a mode [m]
 
     @property
     def caption(self) -> str:

@@ -51,7 +51,6 @@ class PoseSequence:
     title: str = ""
     clock: tuple[str, ...] = ("",)  # text at each time
     notes: tuple[str, ...] = ()  # how a drawn motion is scaled
-    amplitude: float = 0.0  # largest displacement of a mode [m]
     # {element: forces (n, ends, 3) on each of its ends, world axes [N]}
     forces: dict[str, np.ndarray] = field(default_factory=dict)
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
@@ -354,9 +353,7 @@ def vibrating(
     clock = tuple(f"phase {round(360 * step + np.rad2deg(phase)) % 360} degrees" for step in steps)
     note = f"largest displacement {size * share:.3g} m, {share:.2g} of the model's size" + held
     title = mode_title(modes, number)
-    return PoseSequence(
-        model, SECONDS * steps, p, R, title, clock, notes=(note,), amplitude=size * share
-    )
+    return PoseSequence(model, SECONDS * steps, p, R, title, clock, notes=(note,))
 
 
 def _reach(element: Any, rest: PoseSequence, size: float) -> float:

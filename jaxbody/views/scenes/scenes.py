@@ -365,7 +365,6 @@ def animation_of(
         seen_from,
         sequence.title,
         tuple(notes),
-        sequence.amplitude,
     )
 
 
