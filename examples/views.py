@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import trimesh
 
 import jaxbody as jb
 
@@ -84,10 +85,12 @@ tub = [[x, y, z] for x, width, *heights in sides for y in (-width, width) for z 
 roof = [(0.75, 0.54, 0.2), (0.1, 0.44, 0.68), (-1.0, 0.44, 0.68), (-1.6, 0.54, 0.22)]
 cabin = [[x, y, z] for x, width, z in roof for y in (-width, width)]
 beams = [
-    jb.views.Shape.box([0.1, 1.24, 0.06], center=[x, 0, 0.17], color="#2b2f36")
-    for x in (1.25, -1.35)
+    trimesh.creation.box([0.1, 1.24, 0.06]).apply_translation([x, 0, 0.17]) for x in (1.25, -1.35)
 ]
-body = [jb.views.Shape.hull(tub), jb.views.Shape.hull(cabin, color="#9fc3e6"), *beams]
+glass = trimesh.PointCloud(cabin).convex_hull
+for mesh, color in ((glass, [159, 195, 230]), *((beam, [43, 47, 54]) for beam in beams)):
+    mesh.visual.face_colors = color
+body = [trimesh.PointCloud(tub).convex_hull, glass, *beams]
 kerb = dict(height=0.09, at=3.2, ramp=0.06, speed=6.0, footprint=0.15)
 roads = {
     f"road {name}": jb.inputs.Road.kerb(position=x, **kerb)

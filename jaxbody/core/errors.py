@@ -27,7 +27,7 @@ EXTRAS = {
     "rainflow": "fatigue",
 }
 EXTRAS |= dict.fromkeys(("h5py", "nptdms", "pyarrow", "pyuff"), "files") | dict.fromkeys(
-    ("imageio_ffmpeg", "trimesh", "viser"), "view"
+    ("imageio_ffmpeg", "viser"), "view"
 )
 # packages whose lines are not shown as the place of a warning
 SKIPPED = {"jaxbody", "equinox", "jax", "jaxtyping", "beartype", "contextlib", "functools"}

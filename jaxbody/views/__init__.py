@@ -3,7 +3,6 @@
 from jaxbody.core.compilation.late_imports import late_names
 
 _NAMES = {
-    "scenes.shapes": ("Shape",),
     "views": ("View", "view"),
 }
 __getattr__, __dir__, __all__ = late_names("jaxbody.views", _NAMES)

@@ -30,7 +30,7 @@ from jaxbody.views.scenes.animations import Animation, Camera, camera_for
 from jaxbody.views.scenes.drawn_frames import Painter, save_gif, save_mp4, save_png
 from jaxbody.views.scenes.poses import PoseSequence, along, over_travel, still, vibrating
 from jaxbody.views.scenes.scenes import animation_of, side_by_side, with_ground
-from jaxbody.views.scenes.shapes import Shape
+from jaxbody.views.scenes.shapes import Shape, shape_of
 
 FORMATS = (".html", ".png", ".gif", ".mp4")
 HEIGHT = 480  # height of a view in a notebook [pixels]
@@ -161,7 +161,7 @@ class View(Printed):
 def view(
     what: Any,
     *,
-    shapes: Mapping[str, Shape | Sequence[Shape]] | None = None,
+    shapes: Mapping[str, Any] | None = None,
     at: Any = None,
     number: int | Sequence[int] = 1,
     amplitude: float | None = None,
@@ -184,8 +184,9 @@ def view(
         what: a model, an equilibrium, a trajectory, modes (natural or complex), the curves of a
             suspension, which moves over its travel, a tuning (the model before and after), or
             {name: any of these}, side by side.
-        shapes: {body or support: jb.views.Shape, or several}, in place of the default ones; they do
-            not affect mass and inertia.
+        shapes: {body or support: a mesh of trimesh, or several}, in its axes [m], in place of the
+            default ones, such as trimesh.creation.box([1.2, 0.4, 0.1]) or trimesh.load_mesh(path)
+            with the color of its faces; they do not affect mass and inertia.
         at: the state in which a model is drawn, about which modes vibrate, or from which
             displacements are magnified: a State, an equilibrium or a linearization; None takes the
             reference pose, or the first sample of a trajectory.
@@ -365,21 +366,21 @@ def _shapes(shapes: Any, models: list[Model], problems: Problems) -> dict[str, t
     )
     result = {}
     for name, shape in checked_dict(
-        shapes, "view.shapes", "body: jb.views.Shape.box(...)", problems
+        shapes, "view.shapes", "body: trimesh.creation.box(...)", problems
     ).items():
-        several = tuple(shape) if isinstance(shape, list | tuple) else (shape,)
+        several = [shape_of(x) for x in (shape if isinstance(shape, list | tuple) else (shape,))]
         if name not in known:
             problems.collected.append(unknown(name, "view.shapes", known))
-        if not all(isinstance(x, Shape) for x in several):
+        if None in several:
             problems.add(
                 "WRONG_KIND",
                 f"view.shapes['{name}']",
                 f"is {kind_of(shape)}",
                 value=shape,
-                limit="a Shape",
-                hint="Give jb.views.Shape.box(...), or a list of shapes.",
+                limit="a mesh, or several",
+                hint="Give such as trimesh.creation.box([1.2, 0.4, 0.1]).",
             )
-        result[name] = several
+        result[name] = tuple(several)
     return result
 
 

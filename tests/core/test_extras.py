@@ -10,7 +10,8 @@ import pytest
 import jaxbody as jb
 
 NOT_OF_FUNCTIONS = {"test", "judges", "docs"}
-OF_CALLERS = {"distributed"}  # whose objects are given to jaxbody, which does not import it
+# whose objects are given to jaxbody, which does not import them
+OF_CALLERS = {"distributed", "trimesh"}
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 PACKAGES = [
     (wanted.partition(">=")[0].lower().replace("-", "_"), extra)
@@ -62,12 +63,6 @@ def viewed(suffix):
     return lambda folder: jb.view(jb.presets.quarter_car()).save(folder / f"car{suffix}")
 
 
-def shaped(folder):
-    path = folder / "part.stl"
-    path.write_bytes(bytes(100))
-    jb.views.Shape.file(path)
-
-
 def swept(**options):
     def sweep(folder):
         out = {name: folder / "sweep.zarr" for name in options.pop("stored", ())}
@@ -103,7 +98,6 @@ USES = {
     "asammdf": reading(b"MDF ", ".mf4"),
     "viser": viewed(".html"),
     "imageio_ffmpeg": viewed(".mp4"),
-    "trimesh": shaped,
 }
 
 

@@ -1,4 +1,5 @@
-"""Shapes and meshes: volumes and normals against closed forms, files, and what is refused."""
+"""Shapes and meshes: volumes and normals against closed forms, meshes of users, and what is
+refused."""
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from test_views import plate
 
 import jaxbody as jb
 from jaxbody.views.scenes import shapes
+from jaxbody.views.scenes.colors import COLORS
 
 
 def as_trimesh(mesh):
@@ -59,34 +61,17 @@ def test_only_sharp_edges_are_drawn(mesh, count):
     assert len(edges) == count and owners.shape == (count, 2)
 
 
-def test_shapes_are_where_they_are_placed():
-    box = jb.views.Shape.box(
-        [2, 1, 1], center=[1, 0, 0], orientation=jb.EulerAngles("z", [np.pi / 2])
-    )
-    np.testing.assert_allclose(
-        [box.mesh.vertices.min(0), box.mesh.vertices.max(0)],
-        [[0.5, -1, -0.5], [1.5, 1, 0.5]],
-        atol=1e-12,
-    )
-    rod = jb.views.Shape.cylinder(0.1, 2.0, axis=[1, 0, 0], center=[0, 0, 3])
-    assert np.ptp(rod.mesh.vertices[:, 0]) == pytest.approx(2.0) and rod.mesh.vertices[
-        :, 2
-    ].mean() == pytest.approx(3.0)
-    ball = jb.views.Shape.sphere(0.5, center=[0, 1, 0], color="red")
-    assert (
-        np.linalg.norm(ball.mesh.vertices - [0, 1, 0], axis=1) == pytest.approx(0.5)
-        and ball.color == "#ff0000"
-    )
-    assert len(jb.views.Shape.hull(np.eye(4, 3)).mesh.faces) == 4
-
-
-def test_a_mesh_from_a_file_is_drawn_in_meters(tmp_path):
+def test_meshes_of_trimesh_are_drawn_with_their_colors(tmp_path):
     path = tmp_path / "part.stl"
     trimesh.creation.box(extents=[100.0, 200.0, 300.0]).export(path)
-    shape = jb.views.Shape.file(path, scale=1e-3, center=[0, 0, 1])
-    np.testing.assert_allclose(np.ptp(shape.mesh.vertices, axis=0), [0.1, 0.2, 0.3], atol=1e-9)
-    animation = jb.view(plate(), shapes={"plate": [shape, jb.views.Shape.sphere(0.2)]}).animation
-    assert animation.part("bodies", "plate", "shape 1").mesh is shape.mesh
+    part = trimesh.load_mesh(path).apply_scale(1e-3).apply_translation([0, 0, 1])
+    ball = trimesh.creation.icosphere(radius=0.2)
+    ball.visual.face_colors = [255, 0, 0, 51]
+    animation = jb.view(plate(), shapes={"plate": [part, ball]}).animation
+    one, other = (animation.part("bodies", "plate", f"shape {k}") for k in (1, 2))
+    np.testing.assert_allclose(np.ptp(one.mesh.vertices, axis=0), [0.1, 0.2, 0.3], atol=1e-9)
+    assert (one.color, one.opacity) == (COLORS[0], 1.0)
+    assert (other.color, other.opacity) == ("#ff0000", 0.2)
     assert {part.path[2] for part in animation.parts if part.path[:2] == ("bodies", "plate")} == {
         "shape 1",
         "shape 2",
@@ -97,30 +82,11 @@ def test_a_mesh_from_a_file_is_drawn_in_meters(tmp_path):
 def test_shapes_do_not_enter_the_physics():
     model = plate()
     before = repr(model), repr(jb.equilibrium(model))
-    jb.view(model, shapes={"plate": jb.views.Shape.box([1, 1, 1])})
+    jb.view(model, shapes={"plate": trimesh.creation.box([1, 1, 1])})
     assert (repr(model), repr(jb.equilibrium(model))) == before
 
 
-@pytest.mark.parametrize(
-    "make, code",
-    [
-        (lambda: jb.views.Shape.box([1, -1, 1]), "NOT_POSITIVE"),
-        (lambda: jb.views.Shape.cylinder(0.1, 1.0, axis=[0, 0, 0]), "ZERO_AXIS"),
-        (lambda: jb.views.Shape.sphere(np.nan), "NON_FINITE"),
-        (lambda: jb.views.Shape.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), "BAD_SHAPE"),
-        (lambda: jb.views.Shape.hull([[0, 0], [1, 0]]), "BAD_SHAPE"),
-        (lambda: jb.views.Shape.box([1, 1, 1], color="no color"), "WRONG_KIND"),
-        (lambda: jb.views.Shape.sphere(1.0, opacity=2.0), "NOT_A_FRACTION"),
-        (lambda: jb.views.Shape.file("none.stl"), "NO_FILE"),
-    ],
-)
-def test_what_is_no_shape_is_refused(make, code):
-    with pytest.raises(jb.JaxbodyError, match=code):
-        make()
-
-
-def test_a_file_without_a_mesh_is_named(tmp_path):
-    path = tmp_path / "part.stl"
-    path.write_bytes(b"no mesh at all")
-    with pytest.raises(jb.JaxbodyError, match=r"part\.stl.*UNREADABLE"):
-        jb.views.Shape.file(path)
+@pytest.mark.parametrize("shape", [3.0, trimesh.Trimesh(), trimesh.Scene(), [[0, 0, 0]]])
+def test_what_is_no_mesh_is_refused(shape):
+    with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
+        jb.view(plate(), shapes={"plate": shape})

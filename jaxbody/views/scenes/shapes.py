@@ -1,20 +1,13 @@
 """Shapes in pictures: triangle meshes of solids, coils, wheels, arrows and ribbons, of which those
-that are stretched in a drawing have length 1 along z; and the shapes of bodies and supports, given
-by the user or derived from points, center of mass and inertia. They do not affect the model."""
+that are stretched in a drawing have length 1 along z; and the shapes of bodies and supports, meshes
+of the user or derived from points, center of mass and inertia. They do not affect the model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from jaxbody.core.arrays import checked, concrete, vector
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
-from jaxbody.core.source_files import check_file
-from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, direction, matrix
 
 ROUND = 24  # sides of a circle
 SHARP = np.cos(np.deg2rad(35))  # edges between faces at a larger angle are drawn
@@ -264,188 +257,27 @@ TENT = 1.5  # least volume of a hull that is a tent, over those of its box and o
 MOST_POINTS = 4  # a quarter of this, times the spread of the points, limits half an edge
 
 
-@dataclass(frozen=True)
-class Shape:
-    """The shape of a body or a support in a view, in the axes of its body, made by `Shape.box`,
-    `cylinder`, `sphere`, `hull` or `file`.
-
-    `color` is a color of matplotlib; None takes the default color of the body. `opacity` is between
-    0 and 1.
-
-    >>> shape = jb.views.Shape.box([1.2, 0.4, 0.1], center=[0, 0, 0.05], color="tab:blue")
-    >>> shape.mesh.vertices.max(0).tolist()
-    [0.6, 0.2, 0.1]
-    """
+class Shape(NamedTuple):
+    """A shape of a body or a support in a view, in the axes of its body [m]; without a color it has
+    that of the body."""
 
     mesh: Mesh
     color: str | None = None
     opacity: float = 1.0
 
-    @classmethod
-    def box(
-        cls,
-        size,
-        *,
-        center=(0, 0, 0),
-        orientation=IDENTITY,
-        color: str | None = None,
-        opacity: float = 1.0,
-    ) -> Shape:
-        """Make a box.
 
-        Args:
-            size: its edge lengths along x, y, z [m].
-            center: its center, in body axes [m].
-            orientation: its orientation in the body.
-            color, opacity: see `Shape`.
-
-        Errors: NOT_POSITIVE, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, WRONG_KIND."""
-        with Problems() as problems:
-            size = _positive(size, (3,), "Shape.box size", problems)
-            at, q = (
-                vector(center, "Shape.box center", problems),
-                as_quaternion(orientation, "Shape.box orientation", problems),
-            )
-            color, opacity = _look(color, opacity, problems)
-        return cls(box(size).placed(_known(at), matrix(_known(q))), color, opacity)
-
-    @classmethod
-    def cylinder(
-        cls,
-        radius,
-        length,
-        *,
-        axis=(0, 0, 1),
-        center=(0, 0, 0),
-        color: str | None = None,
-        opacity: float = 1.0,
-    ) -> Shape:
-        """Make a cylinder.
-
-        Args:
-            radius, length: its radius and length [m].
-            axis: its direction, in body axes.
-            center: its center, in body axes [m].
-            color, opacity: see `Shape`.
-
-        Errors: NOT_POSITIVE, ZERO_AXIS, BAD_SHAPE, NON_FINITE, WRONG_KIND."""
-        with Problems() as problems:
-            r, l = (
-                _positive(x, (), f"Shape.cylinder {name}", problems)
-                for x, name in ((radius, "radius"), (length, "length"))
-            )
-            n, at = (
-                direction(axis, "Shape.cylinder axis", problems),
-                vector(center, "Shape.cylinder center", problems),
-            )
-            color, opacity = _look(color, opacity, problems)
-        return cls(
-            cylinder(float(r), -l / 2, l / 2).placed(_known(at), axes_along(_known(n))),
-            color,
-            opacity,
-        )
-
-    @classmethod
-    def sphere(
-        cls, radius, *, center=(0, 0, 0), color: str | None = None, opacity: float = 1.0
-    ) -> Shape:
-        """Make a sphere.
-
-        Args:
-            radius: its radius [m].
-            center: its center, in body axes [m].
-            color, opacity: see `Shape`.
-
-        Errors: NOT_POSITIVE, BAD_SHAPE, NON_FINITE, WRONG_KIND."""
-        with Problems() as problems:
-            r, at = (
-                _positive(radius, (), "Shape.sphere radius", problems),
-                vector(center, "Shape.sphere center", problems),
-            )
-            color, opacity = _look(color, opacity, problems)
-        return cls(sphere(float(r), 24).placed(_known(at)), color, opacity)
-
-    @classmethod
-    def hull(cls, points, *, color: str | None = None, opacity: float = 1.0) -> Shape:
-        """Make the convex hull of points (n, 3) that span a volume [m]. Errors: BAD_SHAPE,
-        NON_FINITE, WRONG_KIND."""
-        with Problems() as problems:
-            rows: Any = checked(
-                points,
-                ((max(np.shape(points)[:1] or (0,), default=0), 3),),
-                "Shape.hull points",
-                problems,
-            )
-            color, opacity = _look(color, opacity, problems)
-            if rows is not None:
-                rows = _known(rows)
-                spread = (
-                    np.linalg.svd(rows - rows.mean(0), compute_uv=False)
-                    if len(rows) > 3
-                    else np.zeros(3)
-                )
-                if not spread[2] > 1e-9 * spread[0]:
-                    problems.add(
-                        "BAD_SHAPE",
-                        "Shape.hull points",
-                        "span no volume",
-                        value=rows.shape,
-                        hint="Give four points or more that are not in one plane, "
-                        "or use Shape.box.",
-                    )
-        return cls(hull(np.asarray(rows)), color, opacity)
-
-    @classmethod
-    def file(
-        cls,
-        path,
-        *,
-        scale: float = 1.0,
-        center=(0, 0, 0),
-        orientation=IDENTITY,
-        color: str | None = None,
-        opacity: float = 1.0,
-    ) -> Shape:
-        """Read a mesh from a file: STL, OBJ, PLY, GLB and others that trimesh reads (`pip install
-        'jaxbody[view]'`).
-
-        Args:
-            path: path of the file.
-            scale: meters per unit of the file, 1e-3 for millimeters.
-            center: position of the file's origin, in body axes [m].
-            orientation: orientation of the axes of the file in the body.
-            color, opacity: see `Shape`.
-
-        Errors: NO_FILE, UNREADABLE, MISSING_EXTRA, NOT_POSITIVE, BAD_SHAPE, NON_FINITE,
-        BAD_QUATERNION, WRONG_KIND."""
-        with Problems() as problems:
-            factor = _positive(scale, (), "Shape.file scale", problems)
-            at, q = (
-                vector(center, "Shape.file center", problems),
-                as_quaternion(orientation, "Shape.file orientation", problems),
-            )
-            color, opacity = _look(color, opacity, problems)
-        path = Path(path)
-        check_file(path)
-        trimesh = import_extra("trimesh", "Shape.file")
-        try:
-            loaded = trimesh.load(path, force="mesh", process=True)
-            mesh = Mesh(np.asarray(loaded.vertices, float), np.asarray(loaded.faces))
-        except Exception as error:  # any reader of trimesh may fail
-            raise JaxbodyError(
-                Problem("UNREADABLE", path.name, f"holds no mesh that can be read: {error}", path)
-            ) from None
-        if not len(mesh.faces):
-            raise JaxbodyError(
-                Problem(
-                    "UNREADABLE",
-                    path.name,
-                    "holds no triangles",
-                    path,
-                    hint="Export it as a mesh, such as STL.",
-                )
-            )
-        return cls(mesh.placed(_known(at), matrix(_known(q)), float(factor)), color, opacity)
+def shape_of(given: Any) -> Shape | None:
+    """Return a mesh of trimesh, or another object with vertices and faces, as a shape with the
+    color and the opacity of its faces, if they have any; None if it has no triangles."""
+    vertices, faces = (np.asarray(getattr(given, name, ())) for name in ("vertices", "faces"))
+    if not faces.size or not vertices.shape[1:] == faces.shape[1:] == (3,):
+        return None
+    visual: Any = getattr(given, "visual", None)
+    mesh = Mesh(vertices.astype(float), faces)
+    if getattr(visual, "kind", None) not in ("face", "vertex"):
+        return Shape(mesh)
+    *color, alpha = (int(x) for x in visual.main_color)
+    return Shape(mesh, "#" + bytes(color).hex(), alpha / 255)
 
 
 def axes_along(n: np.ndarray) -> np.ndarray:
@@ -491,50 +323,3 @@ def solid_of_body(
             n, sides = arm / length, [2 * thick, 2 * thick, length + thick]
             parts.append(box(sides).placed(com + 0.5 * (length + thick) * n, axes_along(n)))
     return joined(parts)
-
-
-def _known(x: Any) -> np.ndarray:
-    return np.asarray(concrete(x), float)
-
-
-def _positive(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
-    """Return the numbers if all are above zero; otherwise add a problem and return ones."""
-    numbers = checked(value, (shape,), where, problems)
-    known = None if numbers is None else concrete(numbers)
-    if known is not None and not (known > 0).all():
-        problems.add(
-            "NOT_POSITIVE",
-            where,
-            f"is {known.tolist()}",
-            value=known,
-            limit="> 0",
-            hint="Give lengths in meters.",
-        )
-        known = None
-    return np.ones(shape) if known is None else np.asarray(known, float)
-
-
-def _look(color: str | None, opacity: float, problems: Problems) -> tuple[str | None, float]:
-    """Check color and opacity and return them. Errors: WRONG_KIND, NOT_A_FRACTION."""
-    from matplotlib.colors import is_color_like, to_hex
-
-    if color is not None and not is_color_like(color):
-        problems.add(
-            "WRONG_KIND",
-            "Shape.color",
-            f"is {color!r:.60}",
-            value=color,
-            limit="a color",
-            hint='Give a color of matplotlib, such as "tab:blue" or "#1f6fb4".',
-        )
-        color = None
-    if not 0 <= opacity <= 1:
-        problems.add(
-            "NOT_A_FRACTION",
-            "Shape.opacity",
-            f"is {opacity!r:.60}",
-            value=opacity,
-            limit="0 to 1",
-            hint="1 is opaque.",
-        )
-    return None if color is None else to_hex(color), float(opacity)
