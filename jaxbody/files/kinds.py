@@ -22,13 +22,12 @@ from jaxbody.model.forces.drives import Actuator, ControlledDamper
 from jaxbody.model.forces.force_elements import ForceElement
 from jaxbody.model.forces.magnetic_bearings import MagneticBearing
 from jaxbody.model.forces.rotor_forces import WhirlForce
-from jaxbody.model.inputs.base_motions import base_motion
 from jaxbody.model.inputs.loads import EngineTorque, Force, Unbalance
-from jaxbody.model.inputs.motions import AtRest, Harmonic, Sampled
+from jaxbody.model.inputs.motions import AtRest, Harmonic
 from jaxbody.model.inputs.port_inputs import BaseMotion, Command, PointForce
 from jaxbody.model.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
 from jaxbody.model.inputs.roads import Road
-from jaxbody.model.inputs.signals import Samples, Sine
+from jaxbody.model.inputs.signals import Sine
 from jaxbody.model.joints.combined_joints import (
     Composite,
     Cylindrical,
@@ -146,8 +145,6 @@ TYPES = {
 }
 OF_ELEMENTS = (instruments.OfElement, drive_sensors.DriveSensor, Command)  # `on` names an element
 CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some share names with joints
-# objects made from channels of a record
-FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
 FIELDS: dict[tuple[type, str], str] = {  # fields whose names differ from those of the arguments
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
@@ -185,7 +182,6 @@ PLAIN_SCHEMAS: dict[str, dict[str, Any]] = {  # by the roles of arguments
         "oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]
     },
 }
-PAIR = {"minItems": 2, "maxItems": 2}
 PLAIN = {"bodies": Body, "supports": Support}  # sections with objects of one class only
 SECTIONS = {
     "bodies": "Bodies by name.",
@@ -393,17 +389,3 @@ def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]
         "additionalProperties": False,
         "properties": properties,
     }
-
-
-def by_name(what: str, about: str) -> dict[str, Any]:
-    """Return the schema of a table of objects by name, all of the definition `what`."""
-    return {
-        "type": "object",
-        "description": about,
-        "additionalProperties": {"$ref": f"#/$defs/{what}"},
-    }
-
-
-def one_of(*names: str) -> dict[str, Any]:
-    """Return the schema of an object of one of these definitions."""
-    return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}

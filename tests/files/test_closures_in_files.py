@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import manual_pages
 import numpy as np
 import pytest
+from file_schemas import schema
 from hypothesis import HealthCheck, given, settings
 from random_models import models_with_closures
 from test_model_files import again, same_to_the_bit
 
 import jaxbody as jb
 from jaxbody.files.kinds import CLOSURES
-from jaxbody.files.studies.schema_sections import schema
 from jaxbody.suspension.suspensions import Corner
 
 BAR = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from file_schemas import schema
 from loops_in_files import LOOPS, loops
 
 import jaxbody as jb
 from jaxbody.app.file_updates import update
 from jaxbody.files.documents import read_document, set_value
-from jaxbody.files.studies.schema_sections import schema
 from jaxbody.model.leaf_paths import leaves_of
 
 

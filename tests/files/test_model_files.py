@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from file_schemas import schema
 from hypothesis import HealthCheck, given, settings
 from mutated_files import check_changed
 from random_models import models
@@ -27,7 +28,6 @@ from jaxbody.files.kinds import (
     arguments_of,
 )
 from jaxbody.files.schemas import SCHEMA_FILE
-from jaxbody.files.studies.schema_sections import schema
 from jaxbody.model.laws.laws import Law
 
 PRESETS = [
@@ -436,9 +436,7 @@ def test_what_has_no_text_is_named(tmp_path):
 
 
 def test_the_schema_is_that_of_the_fields():
-    assert json.loads(SCHEMA_FILE.read_text()) == schema(), (
-        "run write_schema() of files/studies/schema_sections.py"
-    )
+    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run `python tests/file_schemas.py`"
 
 
 BASES = {jb.laws.Hysteretic, jb.laws.Inertial, jb.laws.Viscoelastic, jb.inputs.Load}  # of one's own

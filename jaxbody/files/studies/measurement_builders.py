@@ -12,7 +12,6 @@ from jaxbody.core import units
 from jaxbody.core.arrays import float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.files.builders import EntryBuilder
-from jaxbody.files.studies.measured_sections import OF_FILES
 from jaxbody.fitting.experiments.measured_responses import (
     UNITS,
     MeasuredModes,
@@ -22,6 +21,15 @@ from jaxbody.fitting.experiments.measured_responses import (
 from jaxbody.records.format_readers import read_columns
 from jaxbody.records.record_files import agreed_unit, read_responses
 from jaxbody.vibration.ports import component_units
+
+OF_FILES = {  # JSON types of the options of text tables
+    "format": "string",
+    "encoding": "string",
+    "separator": "string",
+    "decimal": "string",
+    "skip": "integer",
+    "footer": "integer",
+}
 
 
 class MeasurementBuilder(EntryBuilder):

@@ -1,14 +1,16 @@
-"""Schema of measurements: records, experiments, measured modes and responses, from the arguments of
-their constructors."""
+"""Schema of measurements in model files: records, experiments, measured modes and responses, from
+the arguments of their constructors."""
 
 from typing import Any
 
-from jaxbody.files.kinds import OWN, PAIR, by_name, named, one_of, table_schema, texts_of
+from jaxbody.files.kinds import OWN, named, table_schema, texts_of
+from jaxbody.files.studies.measurement_builders import OF_FILES
 from jaxbody.fitting.experiments.experiments import Experiment
 from jaxbody.fitting.experiments.measured_responses import UNITS, MeasuredModes, MeasuredResponse
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
 
+PAIR = {"minItems": 2, "maxItems": 2}
 VALIDATE = {
     "type": "boolean",
     "description": (
@@ -17,14 +19,6 @@ VALIDATE = {
     ),
 }
 FILE = {"type": "string", "description": "A file in the folder of this one."}
-OF_FILES = {
-    "format": "string",
-    "encoding": "string",
-    "separator": "string",
-    "decimal": "string",
-    "skip": "integer",
-    "footer": "integer",
-}
 OF_RECORDS = {
     "fill": "string",
     "max_gap": "integer",
@@ -42,6 +36,20 @@ COLUMNS = table_schema(
         "unit": {"type": "string"},
     },
 )
+
+
+def by_name(what: str, about: str) -> dict[str, Any]:
+    """Return the schema of a table of objects by name, all of the definition `what`."""
+    return {
+        "type": "object",
+        "description": about,
+        "additionalProperties": {"$ref": f"#/$defs/{what}"},
+    }
+
+
+def one_of(*names: str) -> dict[str, Any]:
+    """Return the schema of an object of one of these definitions."""
+    return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}
 
 
 def measured_sections() -> dict[str, Any]:

@@ -1,38 +1,34 @@
-"""Schema of model files, generated from the arguments of all classes of objects and of the
-functions that use a study.
-
-    python -c "from jaxbody.files.studies.schema_sections import write_schema; write_schema()"
-
-writes schema.json again, after arguments or their descriptions have changed.
-"""
+"""The schema of model files, from the arguments of all classes of objects and of the functions that
+use a study: `python tests/file_schemas.py` writes jaxbody/files/schema.json."""
 
 import json
 from typing import Any
+
+from measured_sections import PAIR, by_name, measured_sections, one_of
 
 from jaxbody.design.tuners import tune
 from jaxbody.files import kinds
 from jaxbody.files.kinds import (
     DIRECTION,
     OWN,
-    PAIR,
     SECTIONS,
-    by_name,
     named,
     object_schema,
-    one_of,
     table_schema,
     texts_of,
 )
 from jaxbody.files.schemas import ANYTHING, SCHEMA_FILE, VERSION
 from jaxbody.files.studies.design_builders import QUANTITIES
-from jaxbody.files.studies.measured_sections import measured_sections
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.multistarts import multistart
 from jaxbody.model.bodies import Body, Support
 from jaxbody.model.inputs.base_motions import base_motion
-from jaxbody.model.inputs.signals import KINDS
+from jaxbody.model.inputs.motions import Sampled
+from jaxbody.model.inputs.signals import KINDS, Samples
 from jaxbody.vibration.comfort_weightings import WEIGHTINGS
 
+# objects made from channels of a record
+FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}
 OF_STUDIES = {
     "records": "Measured data by name.",
     "sensors": "What instruments read, by name.",
@@ -135,7 +131,7 @@ def schema() -> dict[str, Any]:
         "body": object_schema(Body),
         "support": object_schema(Support),
         **of_type,
-        **{name: _of_record(name, kind) for name, kind in kinds.FROM_RECORDS.items()},
+        **{name: _of_record(name, kind) for name, kind in FROM_RECORDS.items()},
         "input": one_of(*(kind.__name__ for kind in kinds.INPUTS)),
         **measured_sections(),
         "quantity": one_of(*(f"quantity {name}" for name in QUANTITIES)),
@@ -185,11 +181,6 @@ def schema() -> dict[str, Any]:
         },
         "$defs": definitions,
     }
-
-
-def write_schema() -> None:
-    """Write the schema to schema.json of the package."""
-    SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
 
 
 def _of_record(name: str, kind: Any) -> dict[str, Any]:
@@ -340,3 +331,7 @@ def _fit() -> dict[str, Any]:
             "seed": {"type": "integer", "description": of_starts["seed"]},
         },
     )
+
+
+if __name__ == "__main__":
+    SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
