@@ -6,7 +6,6 @@ _NAMES = {
     "interchange.data_sheets": ("read_hard_points", "read_mounts"),
     "interchange.mjcf_readers": ("read_mjcf",),
     "interchange.mjcf_writers": ("write_mjcf",),
-    "interchange.state_space_files": ("write_state_space",),
     "model_files": ("read_model", "write_model"),
     "result_files": ("read_results", "write_results"),
     "studies.study_files": ("Study", "read_study"),

@@ -4,7 +4,6 @@ from jaxbody.files.interchange.data_sheets import read_hard_points as read_hard_
 from jaxbody.files.interchange.data_sheets import read_mounts as read_mounts
 from jaxbody.files.interchange.mjcf_readers import read_mjcf as read_mjcf
 from jaxbody.files.interchange.mjcf_writers import write_mjcf as write_mjcf
-from jaxbody.files.interchange.state_space_files import write_state_space as write_state_space
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
 from jaxbody.files.result_files import read_results as read_results
