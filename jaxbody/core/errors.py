@@ -20,7 +20,6 @@ from jaxbody.core.progress_lines import clear
 MOST_PROBLEMS, MOST_LINES = 20, 10
 EXTRAS = {
     "pandas": "xarray",
-    "casadi": "ipopt",
     "asammdf": "mdf",
     "loky": "cluster",
     "zarr": "cluster",

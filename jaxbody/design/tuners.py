@@ -22,7 +22,7 @@ import optax
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import device_array, float_array, is_concrete
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program_with
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.core.workers.executors import check_workers
@@ -84,16 +84,16 @@ def tune(
             are searched one after the other.
         key: random key for the drawn designs and for stochastic objectives; None
             takes jax.random.key(0).
-        method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while
-            they improve, or an optax optimizer for large or stochastic objectives without limits,
-            where `evaluate` may take a key as its second argument.
+        method: "slsqp" or "trust-constr" (SciPy), restarted while they improve, or an optax
+            optimizer for large or stochastic objectives without limits, where `evaluate` may take a
+            key as its second argument.
         max_iterations: largest number of iterations from each start; the number of steps
             with optax.
         tolerance: tolerance of the objective, relative to its value at the start.
         reverse: True takes derivatives by reverse mode; None uses forward mode for up to thirty
             free numbers.
         workers: None, a number of processes, or an executor, as in `sweep`, for several starts with
-            a method of SciPy or ipopt; the numbers are the same.
+            a method of SciPy; the numbers are the same.
         progress: None shows progress after five seconds, False is silent, True prints every
             evaluation to stderr.
 
@@ -145,7 +145,7 @@ def tune(
             problems.add(
                 "BAD_WORKERS",
                 "tune.workers",
-                "are for methods of SciPy and ipopt",
+                "are for methods of SciPy",
                 value=workers,
                 hint="Leave it out.",
             )
@@ -263,8 +263,6 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
                 value=method,
                 limit=" ".join(METHODS) + " or an optax optimizer",
             )
-        elif method == "ipopt":
-            import_extra("casadi", "tune.method")
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:

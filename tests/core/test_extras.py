@@ -43,17 +43,6 @@ def tabulated(folder):
     jb.modes(jb.linearize(car, car.reference)).to_pandas()
 
 
-def tuned(folder):
-    car = jb.presets.quarter_car()
-    jb.tune(
-        car,
-        lambda car: {"mass": car["body"].mass},
-        free=["body.mass"],
-        minimize="mass",
-        method="ipopt",
-    )
-
-
 def counted(folder):
     record = jb.Record(np.arange(8.0) / 10, {"x": ([0, 1, -1, 2, 0, 1, 0, 1.5], "N")})
     jb.shock.fatigue_damage(record, {"x": jb.shock.SNCurve(3.0, cycles=1e6, level=1.0, unit="N")})
@@ -90,7 +79,6 @@ USES = {
     "rainflow": counted,
     "xarray": labeled,
     "pandas": tabulated,
-    "casadi": tuned,
     "pyarrow": reading(b"PAR1", ".parquet"),
     "h5py": reading(b"\x89HDF", ".h5"),
     "pyuff": reading(b"    -1", ".uff"),

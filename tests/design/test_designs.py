@@ -136,34 +136,6 @@ def test_both_optimizers_agree_and_say_what_holds_the_design_back(car):
     ].shape == (1,)
 
 
-def test_ipopt_finds_the_same_optimum(car):
-    pytest.importorskip("casadi", reason="casadi, which brings IPOPT, is not installed")
-    for limits in (
-        {"travel": (None, 0.0125), "sag": (None, 0.2)},
-        {"sag": 0.08},
-        {"travel": (None, 1e-3)},
-    ):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", jb.JaxbodyWarning)  # the last cannot be met
-            one, other = (
-                jb.tune(
-                    car,
-                    quantities,
-                    free=BOTH,
-                    bounds=BOUNDS,
-                    minimize="acceleration",
-                    limits=limits,
-                    method=m,
-                )
-                for m in ("slsqp", "ipopt")
-            )
-        assert (
-            other.status == one.status and other.active == one.active and other.unmet == one.unmet
-        )
-        name = "acceleration" if one.ok else "travel"  # what cannot be met comes as near as it can
-        np.testing.assert_allclose(other.after[name], one.after[name], rtol=1e-6)
-
-
 def test_multipliers_are_those_of_the_problem_solved_again(car):
     """d objective/d limit by differences of optima; of a bound as of a limit."""
     limits = {"travel": (None, 0.0125), "sag": (None, 0.2)}
@@ -652,7 +624,7 @@ BAD = {
     "BAD_CATALOGUE": (dict(catalogues={"spring.stiffness": [-1.0]}), "positive numbers"),
     "BAD_METHOD": (
         dict(method="simplex"),
-        "'simplex' .allowed: slsqp trust-constr ipopt or an optax optimizer",
+        "'simplex' .allowed: slsqp trust-constr or an optax optimizer",
     ),
     "BAD_STARTS": (dict(starts=0), "is 0"),
 }
