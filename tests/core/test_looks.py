@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from controlled_cars import OUTPUTS, ROAD, SPEED, WHITE, quarter_car
 
 import jaxbody as jb
 from jaxbody.core.results import Result
@@ -168,6 +169,7 @@ def made():
             {"base": jb.vibration.PowerLaw(1.0, unit="m2/Hz")},
         ),
         *shocked(small, moved),
+        *controlled(),
         jb.vibration.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"),
         jb.inputs.base_motion(acceleration, "acc", axis=[1, 0, 0]),
         result,
@@ -211,6 +213,19 @@ def shocked(small, moved):
     ]
 
 
+def controlled():
+    """Of a regulator, its estimator and a loop."""
+    car = quarter_car()
+    lin, inputs = jb.linearize(car, car.reference), {"u": jb.Command("drive")} | ROAD
+    white = {"road": WHITE}
+    weights = {"acceleration": 1.0}, {"u": 1e-6}
+    return [
+        jb.control.lqr(lin, *weights, inputs=inputs, outputs=OUTPUTS, noise=white),
+        jb.control.kalman(lin, SPEED, inputs=inputs, noise=white, sensor_noise={"speed": 1e-6}),
+        jb.control.loop_margins(-jnp.eye(1), jnp.ones(1), jnp.ones(1)),
+    ]
+
+
 @pytest.fixture(scope="module")
 def results():
     with warnings.catch_warnings():
@@ -234,7 +249,8 @@ def test_every_result_is_text_arrays_and_a_picture(results):
         assert name == "Trajectory" or f"{result.summary()}\n" == str(result), name
         assert result.to_pandas().attrs["units"].keys() >= set(result.to_pandas().columns), name
         assert len(result.to_xarray().data_vars) > 0, name
-        assert hasattr(result, "plot") != (name in {"Plausibility", "WheelCompliance"}), name
+        drawn = name not in {"Estimator", "Margins", "Plausibility", "Regulator", "WheelCompliance"}
+        assert hasattr(result, "plot") == drawn, name
 
 
 @pytest.mark.long

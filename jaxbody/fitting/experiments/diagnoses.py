@@ -84,6 +84,8 @@ FAULTS = (  # errors that make a fit wrong
 )
 # correlation of real or imaginary parts of responses from which a wrong sign is reported
 AGREED = 0.5
+# mean of the differences of phases, as numbers of size one, of responses above their noise
+ALIKE = 0.7
 POWERS = {
     2: "an acceleration",
     1: "a velocity",
@@ -321,10 +323,12 @@ def _turned(name: str, frequencies: np.ndarray, y: np.ndarray, p: np.ndarray) ->
         else 0.0
     )
     wide = frequencies.max() > 3 * frequencies.min()
+    # where noise is larger than a response, their ratio may grow, but phases have nothing in common
+    alike = abs(np.mean(y * p.conj() / abs(y * p))) > ALIKE
     real, imaginary = (
         correlation(part(y / abs(y)), part(p / abs(p))) for part in (np.real, np.imag)
     )
-    if wide and round(power) in POWERS and abs(power - round(power)) < 0.25:
+    if wide and alike and round(power) in POWERS and abs(power - round(power)) < 0.25:
         yield (
             "OTHER_RESPONSE",
             f"{name} grows as f^{round(power)} relative to the prediction: is it "

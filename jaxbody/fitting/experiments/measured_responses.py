@@ -243,6 +243,7 @@ class MeasuredModes(Measurement):
     measured: dict[str, Float[Array, "nm ..."]]
     noise: dict[str, Float[Array, "..."]] | None
     sensors: dict[str, Sensor]
+    columns: tuple[str, ...] = eqx.field(static=True)  # of shapes; JAX sorts the names in a dict
     number: tuple[int, ...] | None = eqx.field(static=True)
 
     def __init__(
@@ -258,6 +259,7 @@ class MeasuredModes(Measurement):
     ):
         with Problems() as problems:
             self.sensors = dict(sensors or {})
+            self.columns = tuple(self.sensors)
             given = {"frequency": frequency, "damping_ratio": damping_ratio, "shapes": shapes}
             arrays = {
                 name: float_array(x, f"MeasuredModes.{name}")
@@ -371,7 +373,7 @@ class MeasuredModes(Measurement):
         predicted = modes(lin)
         at_sensors = None
         if self.sensors:
-            ports = port_matrices(lin, (), tuple(self.sensors.values()))
+            ports = port_matrices(lin, (), tuple(self.sensors[name] for name in self.columns))
             at_sensors = ports.Y[0][:, : len(predicted.shapes)] @ predicted.shapes
             at_sensors = (
                 at_sensors if ports.chains is None else at_sensors * ports.chains.gain[:, None]

@@ -24,10 +24,11 @@ from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.numerics.eigenproblems import poles
 from jaxbody.vibration.control.laws import LinearFeedback, state_feedback
 from jaxbody.vibration.control.margins import Margins, of_loop
-from jaxbody.vibration.control.riccati_equations import between_samples, lasting, solution
+from jaxbody.vibration.control.riccati_equations import between_samples, solution
 from jaxbody.vibration.state_spaces import StateSpace, state_space
 
 DIRECT = 1e-12  # part of what reaches an output in a second that counts as reaching it at once
+SEEN = 1e-9  # relative size of what counts as within reach of an input
 NOT_READ = 1e-9  # relative error of a feedback by readings
 
 
@@ -289,12 +290,16 @@ def _margins(regulator: Regulator) -> Margins:
 
 def free_mode(A: Any, B: Any, unseen: Any, every: Any, states: tuple[str, ...]) -> str:
     """Return, of the motions that do not decay and that B does not reach, the fastest growing: its
-    pole [1/s], and the states with the largest shares of its right and left eigenvectors."""
+    pole [1/s], and the states with the largest shares of its right and left eigenvectors. It is
+    looked for in NumPy, as results are printed without a program of JAX."""
     eye, rate = np.eye(len(A)), np.linalg.norm(A)
     A = (eye - unseen) @ A @ (eye - unseen) - (0.0 if every else rate) * unseen
-    z = A if every else np.linalg.solve(2 * rate * eye - A, 2 * rate * eye + A)
-    size, U = np.linalg.eigh(lasting(z.T, ((eye - unseen) @ B).T))
-    U = U[:, size >= min(size[-1], 0.5)]
+    reached = np.asarray((eye - unseen) @ B)
+    for _ in range(len(A)):  # the columns of B, A B, A^2 B, ...
+        both = np.concatenate([reached, A @ reached / rate], 1)
+        reached = scipy.linalg.orth(both / np.linalg.norm(both), rcond=SEEN)
+    U = scipy.linalg.null_space(reached.T)
+    U = U if U.size else eye
     s, left, right = scipy.linalg.eig(U.T @ A @ U, left=True)
     s = in_seconds(s, every)
     i = np.argmax(np.real(s))

@@ -419,6 +419,21 @@ def test_responses_of_another_sign_or_derivative_are_named(case):
     ]
 
 
+def test_a_response_below_its_noise_is_not_called_another_derivative():
+    """Above the resonances, noise of half of the static response grows beside it."""
+    model = two_masses(8e3, 4e3, 6.0, 3.0)
+    ports = {"f": jb.PointForce("a", direction="x")}, {"xb": jb.Position("b", axis=[1, 0, 0])}
+    lin = jb.linearize(model, jb.equilibrium(model))
+    H = np.asarray(jb.frequency_response(lin, FREQUENCIES, *ports)["xb", "f"])
+    rng = np.random.default_rng(0)
+    noise = 0.5 * abs(H[0]) * (rng.normal(size=H.shape) + 1j * rng.normal(size=H.shape))
+    hammer = jb.MeasuredResponse(
+        FREQUENCIES, inputs=ports[0], outputs=ports[1], measured={("xb", "f"): H + noise}
+    )
+    found = jb.diagnose(model, {"hammer": hammer}, progress=False)
+    assert not any("grows as" in words for words in found.words)
+
+
 def test_modes_and_stiffnesses_in_other_units_are_named():
     """Angular frequencies, damping in percent, a sensor that was mounted upside down; a data sheet
     in N/mm and degrees."""

@@ -320,10 +320,10 @@ def test_a_measured_shape_is_compared_with_the_nearest_multiple_of_a_shape(rng):
 
 @pytest.mark.long
 def test_pairing_by_shape_survives_another_order():
-    """Measured in descending order, with the second sensor dead in one of them."""
+    """Measured in descending order, with sensors whose names are not in alphabetical order."""
     frequency, _, shapes = modal(TRUTH.values())
     shapes = shapes[::-1] / np.abs(shapes[::-1]).max(1, keepdims=True)
-    sensors = {"x1": port("m1"), "x2": port("m2")}
+    sensors = {"low": port("m1"), "high": port("m2")}
     common = dict(
         frequency=frequency[::-1], noise={"frequency": 1e-3, "shapes": 0.01}, sensors=sensors
     )
