@@ -190,6 +190,45 @@ def hammered():
     return jb.MeasuredResponse(f, inputs=ports[0], outputs=ports[1], measured={("x", "f"): rough})
 
 
+@cache
+def tested():
+    """Responses estimated from a test with two shakers of an engine on mounts with little damping,
+    stiffer than those of its model."""
+    dry = {f"{name}.damping": 0.2 * engine()[name].damping for name in engine().element_names}
+    stiff = {"mount 1.stiffness": [3e5, 2e5, 9e5]}
+    lin = jb.linearize(jb.replace(engine(), dry | stiff), engine().reference)
+    points = {"front": [1.35, 0.2, 0.45], "rear": [0.7, -0.2, 0.65]}
+    ports = (
+        {
+            "shaker 1": jb.PointForce("engine", points["front"], direction=[1, 2, 3]),
+            "shaker 2": jb.PointForce("engine", points["rear"], direction=[1, -1, 1]),
+        },
+        {
+            f"{name} {axis}": jb.Acceleration("engine", at, axis=axis)
+            for name, at in points.items()
+            for axis in "xyz"
+        },
+    )
+    own, rate, n = np.random.default_rng(5), 96.0, 2**15
+    forces = own.normal(size=(2, n))
+    f = np.arange(1, n // 2 + 1) * rate / n
+    H = np.asarray(jb.frequency_response(lin, f, *ports).values)
+    spectra = np.einsum("yuf,uf->yf", H, np.fft.rfft(forces)[:, 1:])
+    y = np.fft.irfft(np.pad(spectra, ((0, 0), (1, 0))), n)
+    y = y + 0.03 * y.std(1, keepdims=True) * own.normal(size=y.shape)
+    channels = dict(zip(ports[0], [(x, "N") for x in forces], strict=True))
+    channels |= dict(zip(ports[1], [(x, "m/s2") for x in y], strict=True))
+    record = jb.Record(None, channels, rate=rate)
+    return jb.modal.estimate_responses(
+        record, inputs=ports[0], outputs=ports[1], segment=8.0, band=(5.0, 35.0)
+    )
+
+
+@cache
+def identified():
+    return jb.modal.identify_modes(tested())
+
+
 def on_the_model():
     """Elastic axes on the drawing of an engine."""
     ax = engine().plot(view="xz")
@@ -380,7 +419,7 @@ PICTURES = {
     "poles": lambda: jb.complex_modes(small_motions()).plot(),
     "mode_energies": lambda: jb.mode_energies(small_motions(), forward="x").plot(),
     "branches": lambda: branches().plot(parameter="front stiffness [N/m]"),
-    "backbones": lambda: jb.backbone_curves(
+    "backbones": lambda: jb.vibration.backbone_curves(
         jb.linearize(jb.presets.double_pendulum(), jb.presets.double_pendulum().reference)
     ).plot(),
     "elastic_axes": on_the_model,
@@ -411,6 +450,9 @@ PICTURES = {
     "recovered": lambda: shaker().plot(),
     "experiment": lambda: track()[1].plot(),
     "measured_response": lambda: hammered().plot(),
+    "estimated_response": lambda: tested().plot(),
+    "identified_modes": lambda: identified().plot(),
+    "modal_assurance": lambda: identified().plot(model=engine()),
     "measured_modes": lambda: jb.MeasuredModes(
         frequency=[1.02, 1.36, 9.8], damping_ratio=[0.02, 0.05, 0.1]
     ).plot(),

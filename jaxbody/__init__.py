@@ -14,7 +14,7 @@ The packages, in reading order; each imports only from those before it:
     motion      Trajectories by the equations of motion, and what sensors read along them.
     vibration   Small motions: matrices, state space, modes; harmonic and random responses, comfort.
     shock       Shock and earthquake: spectra, maxima by spectra, matched records; peaks, fatigue.
-    fitting     Fits to measurements: free parameters, noise, searches, several starts; uncertainty.
+    fitting     Fits to measurements: free parameters, noise, searches, uncertainty; modal tests.
     design      Tuning: tune, pareto, sweep, tolerances, objectives.
     files       Files of models, studies and results, with the schema of all; files of others.
     views       Pictures with matplotlib; scenes in three dimensions, in a browser, in HTML files.
@@ -36,6 +36,7 @@ _MODULES = {  # that are public themselves: families of names
     "inputs": "model.inputs",
     "joints": "model.joints",
     "laws": "model.laws",
+    "modal": "fitting.modal",
     "objectives": "design.objectives",
     "plots": "views.plots",
     "presets": "suspension.presets",
@@ -80,12 +81,7 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
     "model.elements.elements": ("Element",),
     "model.elements.springs": ("Inerter", "Spring", "SpringDamper"),
     "model.elements.torsions": ("AntiRollBar", "Torsion"),
-    "model.forces": (
-        "Actuator",
-        "Controller",
-        "ForceElement",
-        "MagneticBearing",
-    ),
+    "model.forces": ("Actuator", "Controller", "ForceElement"),
     "model.inputs": ("BaseMotion", "Command", "Force", "Harmonic", "PointForce", "Sampled"),
     "model.joints": ("Ball", "Fixed", "Free", "Guide", "Hinge", "Translation"),
     "model.leaf_paths": ("parameter_paths", "replace"),
@@ -95,10 +91,9 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
     "motion.simulations": ("equations_of_motion", "simulate"),
     "numerics.adjoints": ("BlockAdjoint",),
     "numerics.gauss_collocations": ("Gauss",),
-    "records": ("Record", "read_record"),
+    "records": ("Record", "filtered", "read_record", "resample"),
     "sensors": ("Acceleration", "Accelerometer", "Elongation", "Position", "Velocity"),
     "vibration": (
-        "backbone_curves",
         "complex_modes",
         "frequency_response",
         "linearize",

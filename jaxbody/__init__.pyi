@@ -34,6 +34,7 @@ from jaxbody.fitting import MeasuredResponse as MeasuredResponse
 from jaxbody.fitting import confidence_bands as confidence_bands
 from jaxbody.fitting import diagnose as diagnose
 from jaxbody.fitting import fit as fit
+from jaxbody.fitting import modal as modal
 from jaxbody.fitting import profile_likelihood as profile_likelihood
 from jaxbody.fitting import validate as validate
 from jaxbody.geometry import closures as closures
@@ -68,7 +69,6 @@ from jaxbody.model.elements.torsions import Torsion as Torsion
 from jaxbody.model.forces import Actuator as Actuator
 from jaxbody.model.forces import Controller as Controller
 from jaxbody.model.forces import ForceElement as ForceElement
-from jaxbody.model.forces import MagneticBearing as MagneticBearing
 from jaxbody.model.inputs import BaseMotion as BaseMotion
 from jaxbody.model.inputs import Command as Command
 from jaxbody.model.inputs import Force as Force
@@ -92,14 +92,15 @@ from jaxbody.motion.simulations import simulate as simulate
 from jaxbody.numerics.adjoints import BlockAdjoint as BlockAdjoint
 from jaxbody.numerics.gauss_collocations import Gauss as Gauss
 from jaxbody.records import Record as Record
+from jaxbody.records import filtered as filtered
 from jaxbody.records import read_record as read_record
+from jaxbody.records import resample as resample
 from jaxbody.sensors import Acceleration as Acceleration
 from jaxbody.sensors import Accelerometer as Accelerometer
 from jaxbody.sensors import Elongation as Elongation
 from jaxbody.sensors import Position as Position
 from jaxbody.sensors import Velocity as Velocity
 from jaxbody.suspension import presets as presets
-from jaxbody.vibration import backbone_curves as backbone_curves
 from jaxbody.vibration import complex_modes as complex_modes
 from jaxbody.vibration import control as control
 from jaxbody.vibration import frequency_response as frequency_response

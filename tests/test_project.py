@@ -42,6 +42,7 @@ OPEN = {
         "control",
         "joints",
         "laws",
+        "modal",
         "sensors",
         "inputs",
         "signals",
@@ -76,7 +77,13 @@ INSIDE = {  # packages within packages and the files beside them, from the groun
     "model": ("model.laws", "model.forces", "model.inputs", "model.elements", "model"),
     "suspension": ("suspension", "suspension.presets"),
     "vibration": ("vibration", "vibration.control"),
-    "fitting": ("fitting.statistics", "fitting.parameters", "fitting.experiments", "fitting"),
+    "fitting": (
+        "fitting.statistics",
+        "fitting.parameters",
+        "fitting.experiments",
+        "fitting.modal",
+        "fitting",
+    ),
     "files": ("files", "files.studies", "files.interchange"),
     "views": ("views.scenes", "views.plots", "views"),
 }
@@ -291,6 +298,8 @@ DERIVED = {  # from these concrete classes others derive, which are all that the
     "Chart": "coordinates are a chart with the reference poses",
     "Described": "prints the fields of a class, whatever they are",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",
+    "MeasuredModes": "identified modes are measured ones, with their poles",
+    "MeasuredResponse": "estimated responses are measured ones, with their coherence",
     "Suspension": "a drawing of one's own; corners, axles and cars are suspensions with wheels",
 }
 

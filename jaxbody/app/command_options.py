@@ -35,6 +35,14 @@ def band(text: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def unit_of(text: str) -> tuple[str, str]:
+    """Parse "acc=g" into the name of a column and its unit."""
+    name, sign, unit = text.rpartition("=")
+    if not (name and sign and unit):
+        raise ValueError
+    return name, unit
+
+
 def span(text: str) -> tuple[str, str, str]:
     """Parse "left.stiffness=100 N/mm : 400 N/mm" into a path and two texts; the unit of the second
     is that of the first if it has none."""
@@ -48,6 +56,7 @@ def span(text: str) -> tuple[str, str, str]:
 
 span.__name__ = "path, and two values with their unit, left.stiffness=100:400 N/mm,"
 load_case.__name__ = "name and three numbers, bump=0,0,3,"
+unit_of.__name__ = "name and unit, acc=g,"
 above_zero.__name__ = "number above zero,"
 band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
 
@@ -178,4 +187,63 @@ WRITE = (
         "action": "store_true",
         "help": "write the values into the file, in the units that stand there",
     },
+)
+SEVERAL: dict[str, Any] = {"action": "append", "required": True, "metavar": "NAME,..."}
+OF_ESTIMATE: tuple[Any, ...] = (
+    (("file",), {"nargs": "+", "help": "record, or several records of the same test"}),
+    (("--input",), SEVERAL | {"help": "columns of the inputs, such as forces"}),
+    (("--output",), SEVERAL | {"help": "columns of the outputs"}),
+    (("--time",), {"metavar": "NAME", "help": "column of the times"}),
+    (
+        ("--rate",),
+        {"type": above_zero, "metavar": "F", "help": "samples per second, without times"},
+    ),
+    (
+        ("--unit",),
+        {
+            "type": unit_of,
+            "action": "append",
+            "default": [],
+            "metavar": "NAME=UNIT",
+            "help": "unit of a column that states none in the file, such as acc=g",
+        },
+    ),
+    (("--decimal",), {"default": ".", "choices": ".,", "help": "decimal mark of text files"}),
+    (("--method",), {"default": "H1", "help": "H1, H2 or Hv (default: H1)"}),
+    (
+        ("--segment",),
+        {
+            "type": above_zero,
+            "metavar": "T",
+            "help": "length of a segment [s] (default: the period of the inputs, or 16 segments in "
+            "the record)",
+        },
+    ),
+    (("--window",), {"help": "window of scipy.signal (default: none for whole periods, or hann)"}),
+    (
+        ("--pulse",),
+        {
+            "type": above_zero,
+            "metavar": "T",
+            "help": "of a test with an impact hammer: length of the force pulse [s]",
+        },
+    ),
+    (
+        ("--decay",),
+        {
+            "type": above_zero,
+            "metavar": "T",
+            "help": "of a test with an impact hammer: time constant of the exponential window [s]",
+        },
+    ),
+    (("--band",), {"type": band, "metavar": "LOW:HIGH", "help": "[Hz] (default: all)"}),
+    (("--order",), {"type": int, "metavar": "N", "help": "highest order of the polynomials"}),
+    (
+        ("--draw",),
+        {
+            "choices": ("responses", "modes"),
+            "default": "responses",
+            "help": "what --out draws (default: responses)",
+        },
+    ),
 )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
+from jaxbody.app.command_options import OF_ESTIMATE
 from jaxbody.app.file_commands import COMMANDS
 from jaxbody.core.errors import JaxbodyError, Problem, check_known
 from jaxbody.core.printed_tables import text_in, unit_words
@@ -24,6 +25,7 @@ DESCRIPTION = (
     "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, "
     "identification and design."
 )
+PRINTED = (".csv", ".png", ".svg", ".pdf")  # formats of what has tables and a picture
 READY = Path(__file__).with_name("ready")  # files of models
 EPILOG = """first steps:
   jaxbody new engine > engine.toml   # a file to edit; jaxbody new lists the ready models
@@ -130,11 +132,24 @@ def _parser() -> argparse.ArgumentParser:
             epilog=f"example:\n  {command.example}",
             formatter_class=form,
         )
-        text = f"save the result: {' '.join(command.formats)}"
-        out = ("--out",), {"type": Path, "metavar": "FILE", "help": text}
-        for flags, more in (*ON_FILES, out, *command.options):
+        for flags, more in (*ON_FILES, _out(command.formats), *command.options):
             sub.add_argument(*flags, **more)
         sub.set_defaults(run=_on_file)
+    about = "frequency responses and modes of a test, from its records"
+    estimate = commands.add_parser(
+        "estimate",
+        help=about,
+        description=f"{about[0].upper()}{about[1:]}.",
+        epilog="examples:\n  jaxbody estimate shaker.csv --time t --input force --output left "
+        "--output right --segment 8 --out responses.png\n"
+        "  jaxbody estimate hammer.csv --rate 512 --input force "
+        "--output acc --unit acc=g --segment 2 --pulse 0.02 --decay 0.5 --draw modes "
+        "--out modes.png",
+        formatter_class=form,
+    )
+    for flags, more in (*OF_ESTIMATE, _out(PRINTED)):
+        estimate.add_argument(*flags, **more)
+    estimate.set_defaults(run=_estimate)
     about = "an engine on its mounts: modes, transmissibility, a fit, tuned mounts and a report"
     demo = commands.add_parser("demo", help=about, description=f"{about[0].upper()}{about[1:]}.")
     demo.add_argument(
@@ -149,6 +164,20 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--open", action="store_true", help="open the report in the browser")
     demo.set_defaults(run=_demo)
     return parser
+
+
+def _out(formats: tuple[str, ...]) -> tuple[Any, ...]:
+    """Return the option that saves the result in one of these formats."""
+    text = f"save the result: {' '.join(formats)}"
+    return ("--out",), {"type": Path, "metavar": "FILE", "help": text}
+
+
+def _check_out(path: Path | None, formats: tuple[str, ...]) -> None:
+    """Error: UNKNOWN_FORMAT."""
+    if path is not None and path.suffix not in formats:
+        raise JaxbodyError(
+            Problem("UNKNOWN_FORMAT", "--out", f"is {path}", path, " ".join(formats))
+        )
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -199,6 +228,52 @@ def _new(options: argparse.Namespace) -> int:
     return 0
 
 
+def _estimate(options: argparse.Namespace) -> int:
+    """Print the responses of records and the modes that they show, and save tables or a picture,
+    the responses also where no mode is found."""
+    _check_out(options.out, PRINTED)
+    _use_x64()
+    from jaxbody.app.outcomes import Outcome
+    from jaxbody.app.saved_results import save
+
+    inputs, outputs = (",".join(names).split(",") for names in (options.input, options.output))
+    units, times = dict(options.unit), [options.time] if options.time else []
+    for name in units:
+        check_known(name, "--unit", (*times, *inputs, *outputs))
+    records = [
+        jb.read_record(
+            path,
+            time=(options.time, units.get(options.time)) if times else None,
+            channels={name: (name, units.get(name)) for name in (*inputs, *outputs)},
+            rate=options.rate,
+            decimal=options.decimal,
+        )
+        for path in options.file
+    ]
+    hammer = options.pulse is not None or options.decay is not None
+    window = jb.modal.ImpactWindow(options.pulse, options.decay) if hammer else options.window
+    responses = jb.modal.estimate_responses(
+        records,
+        inputs=inputs,
+        outputs=outputs,
+        method=options.method,
+        segment=options.segment,
+        window=window,
+        band=options.band,
+    )
+    results: list[Any] = [responses]
+    try:
+        results.append(jb.modal.identify_modes(responses, order=options.order))
+    finally:
+        for result in results:
+            print(_text(result, None))
+        if options.out is not None:
+            drawn = results[0] if options.draw == "responses" else results[-1]
+            save(Outcome(results, drawn.plot), options.out, "SI")
+            print(f"saved {options.out}")
+    return 0
+
+
 def _text(result: Any, units: Any) -> str:
     """Return a remark, a table or a result as text in these units."""
     from jaxbody.core.tables import PrintedTable, tables_in, text
@@ -213,16 +288,7 @@ def _text(result: Any, units: Any) -> str:
 def _on_file(options: argparse.Namespace) -> int:
     """Read the file, run the command, print its tables, and save them or a picture."""
     command = COMMANDS[options.command]
-    if options.out is not None and options.out.suffix not in command.formats:
-        raise JaxbodyError(
-            Problem(
-                "UNKNOWN_FORMAT",
-                "--out",
-                f"is {options.out}",
-                options.out,
-                " ".join(command.formats),
-            )
-        )
+    _check_out(options.out, command.formats)
     document = read_document(options.file, options.largest)
     for stated in options.set:
         set_value(document, stated)

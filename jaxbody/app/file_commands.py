@@ -115,7 +115,7 @@ COMMANDS = {
     "backbone-curves": FileCommand(
         "natural frequencies over the amplitude",
         "jaxbody backbone-curves car.toml",
-        outcomes.at_equilibrium(lambda lin: jb.backbone_curves(lin)),
+        outcomes.at_equilibrium(lambda lin: jb.vibration.backbone_curves(lin)),
     ),
     "dynamic-stiffness": FileCommand(
         "stiffness and loss angle of an element over frequency",

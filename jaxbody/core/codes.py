@@ -91,6 +91,8 @@ DEFECTIVE: modes coincide, and the sum over them is inaccurate -> use method="di
 DEGREES: an angle exceeds one turn -> convert degrees with np.deg2rad(...)
 DELAY: a record is later than the prediction -> fit the delay of its sensor, or shift its times
 DENSITY: the mass is unusual for the size of the model -> check the units of mass and length
+DEPENDENT_INPUTS: an input of a test is a combination of the others -> drive them by independent
+    signals, or leave one out
 DEVICE: JAX cannot compute this on the device in use -> jax.config.update("jax_platforms", "cpu")
     before anything else
 DIFFERENT_FREQUENCIES: responses in files have different frequencies -> read them one by one
@@ -143,6 +145,8 @@ INTERNAL_RESONANCE: another mode has the same frequency as the mode, or twice it
 INTERRUPTED: the computation was interrupted -> continue with resume=
 IS_DIRECTORY: a path is a directory -> give the path of a file in it
 JITTER: sampling is uneven -> give rate= if it was sampled evenly, or irregular=True
+LEAKAGE: segments without a window are not periods, or a resonance is narrower than four lines ->
+    give a window, longer segments
 LEFT_HANDED: three channels match the prediction only when mirrored -> check the signs and the order
     of the axes
 LIMIT_POINT: the load cannot be raised further: the stiffness vanishes there -> see
@@ -154,12 +158,15 @@ LOST: a part of a batch failed three times, or ended its worker -> compute its r
     one after the other
 LOST_BRANCH: a mode changed too much from one value to the next to be followed -> give values in
     between
+LOW_COHERENCE: the inputs explain nothing of an output at many lines -> give a band without them
 LOW_RATE: the sampling rate is low for the highest frequency -> sample faster, or filter before
     sampling
 MAX_STEPS: the integration reached its largest number of steps -> give a larger max_steps, a looser
     rtol, or a stiff solver
 MEMORY: a law with memory stands where none can -> use a law without memory, or what the message
     names
+MISFIT: modes do not explain the responses to within their errors -> give a band between
+    resonances; is the structure linear?
 MISSING: many samples of a record are missing -> check whether the others are enough
 MISSING_ENTRY: an entry of a file is missing -> write it as the message says
 MISSING_EXTRA: a package that is not installed is needed -> install it with the pip line in the

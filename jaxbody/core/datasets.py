@@ -38,6 +38,7 @@ class Labeled(ABC):
 
         The result has `attrs["units"]`, {column: unit}, "" for a column without a unit. Errors:
         UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
+        import_extra("pandas", "to_pandas")
         return _frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
 
 

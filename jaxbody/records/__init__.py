@@ -3,6 +3,7 @@
 from jaxbody.core.compilation.late_imports import late_names
 
 _NAMES = {
+    "conditioning": ("derivative", "filtered", "integral", "resample"),
     "record_files": ("read_record", "read_responses"),
     "records": ("Record",),
 }

@@ -160,10 +160,21 @@ class Record(Labeled, tables.Printed):
                     "Give a longer part.",
                 )
             )
+        return self.changed(
+            self.times[inside],
+            {name: x[inside] for name, x in self.channels.items()},
+            self.units,
+        )
+
+    def changed(
+        self, times: np.ndarray, channels: dict[str, Any], units: dict[str, str], note: str = ""
+    ) -> Record:
+        """Return a record with these times and channels in SI units, with a note added."""
         new = object.__new__(Record)
-        new.times, new.sampling = self.times[inside], sampling_of(self.times[inside])
-        new.channels = {name: x[inside] for name, x in self.channels.items()}
-        new.units, new.stated, new.notes = self.units, self.stated, self.notes
+        new.times, new.sampling = times, sampling_of(times)
+        new.channels, new.units = channels, units
+        new.stated = {name: self.stated.get(name, unit) for name, unit in units.items()}
+        new.notes = (*self.notes, note) if note else self.notes
         return new
 
     def to_xarray(self) -> Any:

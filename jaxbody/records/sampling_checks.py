@@ -96,8 +96,7 @@ def even_samples(
             value=steps,
             limit="equal steps",
             hint="Read the record with rate= if it was sampled evenly, with fill= if samples are "
-            "missing; or interpolate it at even times, "
-            "scipy.interpolate.CubicSpline(times, values)(even).",
+            "missing; or use jb.resample(record, rate=...).",
         )
     if t is None:
         return problems.gather(lambda: float_array(values, where[1])), 1.0

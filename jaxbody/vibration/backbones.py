@@ -211,7 +211,7 @@ def backbone_curves(lin: Linearization, *, allow_float32: bool = False) -> Backb
     ...     joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
     ...     gravity=[0, 0, -9.81],
     ... )
-    >>> curves = jb.backbone_curves(jb.linearize(model, jb.equilibrium(model)))
+    >>> curves = jb.vibration.backbone_curves(jb.linearize(model, jb.equilibrium(model)))
     >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """

@@ -73,6 +73,6 @@ def test_rows_left_out_are_counted_and_the_note_says_where_they_are():
 
 @pytest.mark.long
 def test_no_table_states_thousandths_of_units(mass):
-    backbones = jb.backbone_curves(jb.linearize(mass, jb.equilibrium(mass)))
+    backbones = jb.vibration.backbone_curves(jb.linearize(mass, jb.equilibrium(mass)))
     assert jnp.isfinite(backbones.frequency).all()
     assert not {"mm", "mrad"} & set(printed(backbones).split())

@@ -351,7 +351,7 @@ def test_derivatives_of_poles_in_both_modes():
 def test_what_does_not_take_states_yet_says_so(solid):
     model = solid.model
     for call in (
-        lambda: jb.backbone_curves(solid),
+        lambda: jb.vibration.backbone_curves(solid),
         lambda: jb.vibration.linearize_spin(model, model.reference),
     ):
         with pytest.raises(jb.JaxbodyError) as caught:

@@ -17,7 +17,7 @@ from jaxbody import Status
 
 
 def backbones(model):
-    return jb.backbone_curves(jb.linearize(model, jb.equilibrium(model)))
+    return jb.vibration.backbone_curves(jb.linearize(model, jb.equilibrium(model)))
 
 
 def extrapolated(values):
@@ -180,7 +180,7 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
         )
 
     exact = curvature(duffing, 0.2, levels=5)
-    result = jb.backbone_curves(places(MASS * [1.5, 10.0, 70.0], beta=2.0 * MASS[0]))
+    result = jb.vibration.backbone_curves(places(MASS * [1.5, 10.0, 70.0], beta=2.0 * MASS[0]))
     print("Duffing", result.curvature[0] / exact - 1)
     assert abs(result.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
     assert max_difference(result.curvature, [3 * 2.0 / (8 * 1.5), 0, 0]) < 1e-13
@@ -193,7 +193,7 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
 def test_quadratic_terms_of_the_textbook():
     """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2
     k), y2 = -c/(2 (k - 4 w^2 m)) per a^2, x'' + w^2 x + 2 c x y/m = 0."""
-    result = jb.backbone_curves(
+    result = jb.vibration.backbone_curves(
         places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0])
     )
     assert (
@@ -204,7 +204,7 @@ def test_quadratic_terms_of_the_textbook():
     a = result.force_within(3.0)[0]
     assert abs((1.7 * a + 0.6 * a**2) / 2.25 - 0.03) < 1e-13
     for k, c in (10.0, 3.0), (8.9, 3.0):
-        result = jb.backbone_curves(places(MASS * [2.25, k, 70.0], c=c))
+        result = jb.vibration.backbone_curves(places(MASS * [2.25, k, 70.0], c=c))
         mean, double = -c / (2 * k * MASS[1]), -c / (2 * (k - 9) * MASS[1])
         assert abs(result.curvature[0] / (c * (mean + double / 2) / (2.25 * MASS[0])) - 1) < 1e-12
         assert max_difference(
@@ -440,14 +440,14 @@ def hanging():
 @pytest.mark.parametrize("mode", [2, 4])
 def test_a_free_body_on_springs_has_the_slope_of_its_periodic_motions(hanging, mode):
     check_against_periodic_motions(
-        Plate(hanging), jb.backbone_curves(jb.linearize(hanging.model, hanging)), mode
+        Plate(hanging), jb.vibration.backbone_curves(jb.linearize(hanging.model, hanging)), mode
     )
 
 
 def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
     """Another reference point and other body axes: other charts, in which the mean, second harmonic
     and straight lines differ."""
-    one = jb.backbone_curves(jb.linearize(hanging.model, hanging))
+    one = jb.vibration.backbone_curves(jb.linearize(hanging.model, hanging))
     r, turn = np.array([0.3, -0.2, 0.25]), Rotation.from_rotvec([0.4, -0.8, 1.1])
     Q, body, springs = turn.as_matrix(), hanging.model["plate"], hanging.model.elements[0].rows
     moved = jb.Body(
@@ -512,10 +512,10 @@ def test_a_mode_that_does_not_move_alone_has_no_backbone(k, laws, status):
     codes = {Status[name] for name in status if name != "OK"}
     if codes:
         with pytest.warns(jb.JaxbodyWarning, match=codes.pop().name) as caught:
-            result = jb.backbone_curves(lin)
+            result = jb.vibration.backbone_curves(lin)
         assert len(caught) == 1
     else:
-        result = jb.backbone_curves(lin)
+        result = jb.vibration.backbone_curves(lin)
     assert [Status(int(code)).name for code in result.status] == list(status)
     assert np.isnan(result.curvature).tolist() == [name != "OK" for name in status]
     assert all(name in str(result) for name in status if name != "OK")
@@ -528,7 +528,7 @@ def test_masses_that_nothing_holds_have_the_backbone_of_their_distance():
     """d = x - y, mass m1 m2/(m1 + m2): 5 s^2/(12 r^2) of d; y, the lighter, moves by m1/(m1 + m2)
     of it."""
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_K"):
-        result = jb.backbone_curves(places([0, 0, 50.0], r=2.0, s=0.7))
+        result = jb.vibration.backbone_curves(places([0, 0, 50.0], r=2.0, s=0.7))
     assert [Status(int(code)).name for code in result.status] == ["SINGULAR_K", "OK", "OK"]
     assert int(result.largest[1]) == 1
     assert abs(result.curvature[1] / (-5 * 0.7**2 / (12 * 2.0**2) * (1 + 2 / 3) ** 2) - 1) < 1e-12
@@ -538,7 +538,7 @@ def test_masses_that_nothing_holds_have_the_backbone_of_their_distance():
 def test_where_there_is_no_equilibrium_nothing_is_reported():
     model = Cart().model()
     with pytest.warns(jb.JaxbodyWarning, match="2 NOT_CONVERGED"):
-        result = jb.backbone_curves(
+        result = jb.vibration.backbone_curves(
             jb.linearize(model, jb.State(jnp.array([0.0, 0.01]), jnp.zeros(2)))
         )
     assert np.isnan(result.curvature).all()
@@ -590,7 +590,7 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
     lin = places(MASS * [1.0, 4.0, 4.0], beta=1.0)
     slope = jax.jit(
         jax.grad(
-            lambda k: jb.backbone_curves(
+            lambda k: jb.vibration.backbone_curves(
                 jb.linearize(jb.replace(lin.model, {"law.k": k}), lin.state)
             ).curvature[0]
         )
@@ -600,7 +600,7 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
 
 @pytest.mark.long
 def test_it_prints_amplitudes_in_meters_and_radians_and_is_exported(hanging):
-    result = jb.backbone_curves(jb.linearize(hanging.model, hanging))
+    result = jb.vibration.backbone_curves(jb.linearize(hanging.model, hanging))
     rows = repr(result).splitlines()[2:8]
     print(result)
     for mode, (name, unit) in {

@@ -370,24 +370,16 @@ class MeasuredModes(Measurement):
                 )
 
     def readings(self, model, integration, lin):
-        predicted = modes(lin)
-        at_sensors = None
-        if self.sensors:
-            ports = port_matrices(lin, (), tuple(self.sensors[name] for name in self.columns))
-            at_sensors = ports.Y[0][:, : len(predicted.shapes)] @ predicted.shapes
-            at_sensors = (
-                at_sensors if ports.chains is None else at_sensors * ports.chains.gain[:, None]
-            )
+        frequency, damping_ratio, at_sensors = self.predicted(lin)
         which: Any = np.array(self.number)
         if self.number is None:
             both = jax.lax.stop_gradient((at_sensors, jnp.nan_to_num(self.measured["shapes"]).T))
             which = jnp.argmax(mac(*both), axis=0)
         readings = {
-            "frequency": predicted.frequency[which],
-            "damping_ratio": predicted.damping_ratio[which],
+            "frequency": frequency[which],
+            "damping_ratio": damping_ratio[which],
         }
         if "shapes" in self.measured:
-            assert at_sensors is not None
             x, y = at_sensors[:, which].T, self.measured["shapes"]
             present = ~jnp.isnan(y)
             scale = jnp.sum(jnp.where(present, x * y, 0), 1) / jnp.sum(
@@ -395,6 +387,20 @@ class MeasuredModes(Measurement):
             )
             readings["shapes"] = scale[:, None] * x
         return {name: readings[name] for name in self.measured}
+
+    def predicted(self, lin: Any) -> tuple[Array, Array, Array]:
+        """Return natural frequencies, damping ratios and shapes at the sensors (ns, n) of all modes
+        of the model."""
+        found = modes(lin)
+        return found.frequency, found.damping_ratio, self.at_sensors(lin, found.shapes)
+
+    def at_sensors(self, lin: Any, shapes: Array) -> Array:
+        """Return shapes (columns) as the sensors read them."""
+        if not self.columns:
+            return shapes[:0]
+        ports = port_matrices(lin, (), tuple(self.sensors[name] for name in self.columns))
+        read = ports.Y[0][:, : len(shapes)] @ shapes
+        return read if ports.chains is None else read * ports.chains.gain[:, None]
 
     def axis(self, channel):
         return "mode", np.arange(1, 1 + len(self.measured[channel])), ""

@@ -37,7 +37,7 @@ class MagneticBearing(PointPair):
     Errors: BAD_END, SELF_SPRING, ZERO_AXIS, NOT_POSITIVE, BAD_SHAPE, NON_FINITE. Source: G.
     Schweitzer, E. Maslen, Magnetic Bearings (2009), 2.2, 4.4.
 
-    >>> bearing = jb.MagneticBearing(
+    >>> bearing = jb.forces.MagneticBearing(
     ...     "rotor", "stator", axis="z", current_stiffness=40.0, displacement_stiffness=2e4,
     ...     inductance=0.01, resistance=2.0, proportional=5e3, derivative=20.0,
     ... )

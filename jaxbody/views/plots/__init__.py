@@ -28,6 +28,10 @@ _NAMES = {
         "plot_recovered",
         "plot_validation",
     ),
+    "modal_plots": (
+        "plot_estimated_response",
+        "plot_identified_modes",
+    ),
     "mode_plots": (
         "plot_backbone_curves",
         "plot_elastic_axes",

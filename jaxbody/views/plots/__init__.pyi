@@ -17,6 +17,8 @@ from jaxbody.views.plots.measured_plots import plot_measurement as plot_measurem
 from jaxbody.views.plots.measured_plots import plot_record as plot_record
 from jaxbody.views.plots.measured_plots import plot_recovered as plot_recovered
 from jaxbody.views.plots.measured_plots import plot_validation as plot_validation
+from jaxbody.views.plots.modal_plots import plot_estimated_response as plot_estimated_response
+from jaxbody.views.plots.modal_plots import plot_identified_modes as plot_identified_modes
 from jaxbody.views.plots.mode_plots import plot_backbone_curves as plot_backbone_curves
 from jaxbody.views.plots.mode_plots import plot_elastic_axes as plot_elastic_axes
 from jaxbody.views.plots.mode_plots import plot_matrix as plot_matrix

@@ -218,7 +218,8 @@ def legend(ax: Any, count: int, **options: Any) -> None:
             "handlelength": 2.4,
             "columnspacing": 1.0,
         }
-        ax.legend(**options, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+        ax.legend(**place | options)
 
 
 def with_unit(what: str, unit: str) -> str:

@@ -79,7 +79,7 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
         (1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2)),
         shares,
         list(rows),
-        _mode_heads(energies.frequency),
+        mode_heads(energies.frequency),
         (0.0, 100.0),
         f"{KINDS[kind]} [%]{less}",
         least=LEAST_SHOWN,
@@ -192,7 +192,7 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
         (2.2 + 0.6 * shapes.shape[1], 1.2 + 0.3 * len(names)),
         without_dust(shapes, 1.0),
         names,
-        _mode_heads(modes.frequency),
+        mode_heads(modes.frequency),
         (-1.0, 1.0),
         r"shapes of the modes: $\sqrt{M_{ii}}\,\phi_i$ [-]",
         digits=2,
@@ -200,7 +200,7 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     )
 
 
-def _mode_heads(frequency: Any) -> list[str]:
+def mode_heads(frequency: Any) -> list[str]:
     return [f"{i + 1}\n{f:.4g} Hz" for i, f in enumerate(np.asarray(frequency))]
 
 
@@ -279,7 +279,7 @@ def plot_backbone_curves(backbones: Backbones, *, ax: Any = None) -> Any:
     ...     gravity=[0, 0, -9.81],
     ... )
     >>> jb.plots.plot_backbone_curves(
-    ...     jb.backbone_curves(jb.linearize(pendulum, pendulum.reference))
+    ...     jb.vibration.backbone_curves(jb.linearize(pendulum, pendulum.reference))
     ... ).get_xlabel()
     'amplitude [rad]'
     """

@@ -45,6 +45,8 @@ CAPTIONS: dict[Callable[..., Any], str] = {
     plots.plot_record: "The record",
     plots.plot_recovered: "Motion of the base, and what was removed",
     plots.plot_measurement: "What was measured",
+    plots.plot_estimated_response: "Estimated responses, with 95 % bands and coherence",
+    plots.plot_identified_modes: "Stabilization diagram",
     plots.plot_diagnosis: "Gain, delay and residual of each channel",
     plots.plot_fit: "Measured and fitted",
     plots.plot_confidence_bands: "Confidence bands",

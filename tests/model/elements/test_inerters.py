@@ -301,7 +301,7 @@ def test_a_backbone_bends_by_the_inertia_of_an_inerter_across_the_motion():
             "inerter": jb.Inerter(("m", [0, 0, 0]), ("world", [h, 0, 0]), inertance=B),
         },
     )
-    curves = jb.backbone_curves(at_rest(model))
+    curves = jb.vibration.backbone_curves(at_rest(model))
     np.testing.assert_allclose(curves.curvature, [-B / (4 * M * h**2)], rtol=1e-10)
 
 

@@ -259,7 +259,9 @@ def levitated(m=5.0, gravity=0.0, **changed):
         joints={"rotor": jb.Guide("stator", axis=[0, 0, 1])},
         supports={"stator": jb.Support()},
         elements={
-            "magnet": jb.MagneticBearing("rotor", "stator", axis="z", **{**NUMBERS, **changed})
+            "magnet": jb.forces.MagneticBearing(
+                "rotor", "stator", axis="z", **{**NUMBERS, **changed}
+            )
         },
         gravity=[0, 0, -gravity],
     )

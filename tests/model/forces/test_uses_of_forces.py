@@ -42,7 +42,7 @@ def shaft(q=Q, **more):
     )
 
 
-MAGNET = jb.MagneticBearing(
+MAGNET = jb.forces.MagneticBearing(
     "rotor", ("world", [0.01, 0, 0]), axis="x", current_stiffness=40.0,
     displacement_stiffness=300.0, inductance=0.02, resistance=3.0, proportional=50.0,
     derivative=4.0,
@@ -154,7 +154,7 @@ def test_drawings_show_force_elements():
 def test_energies_say_what_has_no_potential():
     """Of a magnet on a spring k: k against k_i P/R - k_x, in which the current follows."""
     k, n = 5e3, {"current_stiffness": 40.0, "displacement_stiffness": 2e3, "proportional": 400.0}
-    magnet = jb.MagneticBearing(
+    magnet = jb.forces.MagneticBearing(
         "rotor", "world", axis="z", inductance=0.02, resistance=3.0, derivative=4.0, **n
     )
     model = jb.Model(

@@ -13,6 +13,8 @@ COUNTS = {
     "optimum",
     "starts",
     "mode",
+    "identified mode",
+    "mode of the model",
     "component",
     "value",
     "density",
@@ -47,7 +49,7 @@ def not_drawn(figure):
             drawn = {
                 label for tick in axis._update_ticks() for label in (tick.label1, tick.label2)
             } | {axis.label, axis.offsetText}
-            left_out |= own - drawn if ax.axison else own
+            left_out |= own - drawn if ax.axison and axis.get_visible() else own
     return left_out
 
 

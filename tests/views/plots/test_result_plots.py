@@ -299,7 +299,9 @@ def test_backbones_are_drawn_to_five_percent():
         joints={"bob": jb.Hinge("world", axis=[0, 1, 0])},
         gravity=[0, 0, -9.81],
     )
-    ax = jb.backbone_curves(jb.linearize(pendulum, pendulum.reference)).plot(ax=Figure().subplots())
+    ax = jb.vibration.backbone_curves(jb.linearize(pendulum, pendulum.reference)).plot(
+        ax=Figure().subplots()
+    )
     a, change = ax.lines[0].get_xydata().T
     np.testing.assert_allclose(change, -100 * a**2 / 16, atol=1e-9)
     assert change[-1] == pytest.approx(-5.0) and (ax.get_xlabel(), ax.get_ylabel()) == (
