@@ -508,6 +508,7 @@ def test_forces_of_wrong_shape(returned):
     assert error.value.code == "BAD_SHAPE" and "forces" in str(error.value)
 
 
+@pytest.mark.nan
 def test_a_force_that_is_not_finite():
     class Bad(jb.ForceElement):
         def forces(self, now):
@@ -528,6 +529,7 @@ def test_a_force_that_is_not_finite():
         jb.simulate(model, [0.0, 0.1])
 
 
+@pytest.mark.nan
 def test_modes_refuse_what_is_not_symmetric():
     lin = linear(random_rig(1))
     with pytest.warns(jb.JaxbodyWarning, match="complex_modes"):
@@ -566,6 +568,7 @@ def linkage(element):
     return jb.Model(**{**parts, "elements": parts["elements"] | {"pair": element}})
 
 
+@pytest.mark.nan
 def test_a_disguised_spring_holds_a_closed_loop_as_the_spring():
     """Equilibrium with its derivatives, matrices and poles, on closures."""
     crank, ends = jb.presets.four_bar().layout.bodies[0], ([0.03, 0.01, 0], [0.05, 0.1, 0])
