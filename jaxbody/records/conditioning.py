@@ -6,6 +6,7 @@ the cubic spline through the samples. An offset b of a channel gives its integra
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -45,7 +46,7 @@ def resample(record: Record, *, rate: float) -> Record:
 
     with Problems() as problems:
         positive_number(rate, "resample.rate", problems)
-    _check_complete(record, tuple(record.channels), "resample")
+        check_complete(record, tuple(record.channels), "resample.record", problems)
     own, t = record.sampling.rate, record.times
     even = evenly_spaced(t)
     if not even:
@@ -83,7 +84,9 @@ def filtered(record: Record, *, band: tuple[float, float], zero_phase: bool = Tr
     """
     from scipy.signal import butter, sosfilt, sosfiltfilt
 
-    _check_even(record, "filtered")
+    with Problems() as problems:
+        check_complete(record, tuple(record.channels), "filtered.record", problems)
+        check_even(record, "filtered.record", problems)
     low, high = band
     half = record.sampling.rate / 2
     if not 0 <= low < high or (low == 0 and not high < half) or low >= half:
@@ -116,7 +119,8 @@ def derivative(record: Record, channel: str, *, name: str = "") -> Record:
     """
     from scipy.interpolate import CubicSpline
 
-    _check_complete(record, (channel,), "derivative")
+    with Problems() as problems:
+        check_complete(record, (channel,), "derivative.record", problems)
     values = CubicSpline(record.times, record[channel])(record.times, 1)
     return _with_channel(record, name or f"{channel}_rate", values, record.units[channel], -1, "")
 
@@ -141,7 +145,8 @@ def integral(record: Record, channel: str, *, name: str = "", remove_drift: bool
     """
     from scipy.interpolate import CubicSpline
 
-    _check_complete(record, (channel,), "integral")
+    with Problems() as problems:
+        check_complete(record, (channel,), "integral.record", problems)
     t = record.times - record.times[0]
     values = CubicSpline(t, record[channel]).antiderivative()(t)
     drift, start = np.polyfit(t, values, 1)
@@ -168,28 +173,26 @@ def _with_channel(
     )
 
 
-def _check_complete(record: Record, names: tuple[str, ...], where: str) -> None:
-    with Problems() as problems:
-        for name in names:
-            if lacking := int(np.isnan(record[name]).sum()):
-                problems.add(
-                    "MISSING",
-                    f"{where}.record['{name}']",
-                    f"lacks {lacking} samples",
-                    hint='Read the record with fill="linear" or fill="spline", or take a part.',
-                )
-
-
-def _check_even(record: Record, where: str) -> None:
-    _check_complete(record, tuple(record.channels), where)
-    if not evenly_spaced(record.times):
-        raise JaxbodyError(
-            Problem(
-                "NOT_UNIFORM",
-                f"{where}.record",
-                "has steps of different lengths",
-                None,
-                "equal steps",
-                "Use jb.resample(record, rate=...) before.",
+def check_complete(record: Record, names: Sequence[str], where: str, problems: Problems) -> None:
+    """Check that channels have all samples. Errors: UNKNOWN_CHANNEL, MISSING."""
+    for name in names:
+        x = problems.gather(lambda name=name: record[name])
+        if x is not None and np.isnan(x).any():
+            problems.add(
+                "MISSING",
+                f"{where}['{name}']",
+                f"lacks {int(np.isnan(x).sum())} samples",
+                hint='Read the record with fill="linear" or fill="spline", or take a part.',
             )
+
+
+def check_even(record: Record, where: str, problems: Problems) -> None:
+    """Check that the times have equal steps. Error: NOT_UNIFORM."""
+    if not evenly_spaced(record.times):
+        problems.add(
+            "NOT_UNIFORM",
+            where,
+            "has steps of different lengths",
+            limit="equal steps",
+            hint="Use jb.resample(record, rate=...).",
         )

@@ -32,7 +32,7 @@ def chain():
     return np.eye(MASSES), shapes * 0.02 * np.sqrt(square) @ shapes.T, 1e5 * links
 
 
-def test_record(M, C, K):
+def simulated_record(M, C, K):
     """Return a record of a random force on the last mass and all accelerations, noise 2 %."""
     rng = np.random.default_rng(0)
     f = np.fft.rfftfreq(SAMPLES, 1 / RATE)
@@ -64,7 +64,7 @@ def megabytes(call):
 def main():
     warnings.simplefilter("ignore", jb.JaxbodyWarning)  # outputs far from the force have nodes
     M, C, K = chain()
-    record = test_record(M, C, K)
+    record = simulated_record(M, C, K)
     outputs = [f"a{i}" for i in range(MASSES)]
     together = np.stack([record[name] for name in ["f", *outputs]])
     n = round(SEGMENT * RATE)

@@ -399,8 +399,10 @@ class MeasuredModes(Measurement):
         if not self.columns:
             return shapes[:0]
         ports = port_matrices(lin, (), tuple(self.sensors[name] for name in self.columns))
-        read = ports.Y[0][:, : len(shapes)] @ shapes
-        return read if ports.chains is None else read * ports.chains.gain[:, None]
+        rows = ports.Y[0][:, : len(shapes)]
+        if ports.chains is not None:
+            rows = rows * ports.chains.gain[:, None]
+        return rows.astype(shapes.dtype) @ shapes
 
     def axis(self, channel):
         return "mode", np.arange(1, 1 + len(self.measured[channel])), ""

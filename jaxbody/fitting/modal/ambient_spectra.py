@@ -92,7 +92,6 @@ def positive_spectra(
     mean = S.mean(0)
     replicates = (S - mean) * np.sqrt(parts / (parts - 1))
     note = f"{parts} parts of {length / rate:.6g} s, correlations up to {lags / rate:.6g} s"
-    own = (np.ones(lags), rate, tau, False, float(parts), np.ones(1), 0, (note,))
     units = [tuple(record.units[name] for name in names) for names in (r_names, y_names)]
     estimate = ResponseEstimate(
         f[kept],
@@ -101,7 +100,9 @@ def positive_spectra(
         r_names,
         y_names,
         *units,
-        segments=Transforms(f, np.zeros((0, 0, 0)), np.zeros(0), *own),
+        segments=Transforms(
+            f, np.zeros((0, 0, 0)), np.ones(lags), rate, float(parts), decay=tau, notes=(note,)
+        ),
         method=SPECTRA,
         replicates=replicates,
     )

@@ -81,11 +81,11 @@ class Identification:
 
     @property
     def frequency(self) -> np.ndarray:
-        return np.abs(self.poles) / (2 * np.pi)
+        return pole_functions.frequency_of(self.poles)
 
     @property
     def damping_ratio(self) -> np.ndarray:
-        return -np.real(self.poles) / np.abs(self.poles)
+        return pole_functions.damping_ratio_of(self.poles)
 
 
 class IdentifiedModes(tables.Printed, MeasuredModes):
@@ -130,6 +130,10 @@ class IdentifiedModes(tables.Printed, MeasuredModes):
     def mac(self, model: Model) -> Any:
         """Return the modal assurance criterion of the modes of a model about its equilibrium (rows)
         with the identified ones (columns). Error: NO_DATA without sensors of the model."""
+        return self.agreement(model)[1]
+
+    def agreement(self, model: Model) -> tuple[Any, Any]:
+        """Return the natural frequencies of a model [Hz] and `mac(model)`."""
         if "shapes" not in self.measured:
             raise JaxbodyError(
                 Problem(
@@ -139,15 +143,17 @@ class IdentifiedModes(tables.Printed, MeasuredModes):
                     hint="Give estimate_responses outputs={channel: sensor}.",
                 )
             )
-        return mac(self.predicted(small_motions(model))[2], self.measured["shapes"].T)
+        frequency, _, shapes = self.predicted(small_motions(model))
+        return frequency, mac(shapes, self.measured["shapes"].T)
 
     def predicted(self, lin):
         """Return |p|/(2 pi), damping ratios and turned shapes at the sensors of the poles p of the
         model, which are those of a test also where damping couples the natural modes."""
         found = complex_modes(lin)
         shapes = self.at_sensors(lin, found.shapes)
-        turn = jnp.exp(-0.5j * jnp.angle(jnp.sum(shapes**2, 0)))
-        return found.natural_frequency, found.damping_ratio, jnp.real(turn * shapes)
+        turn = jnp.angle(jnp.sum(shapes**2, 0)) / 2
+        turned = jnp.cos(turn)[None] * jnp.real(shapes) + jnp.sin(turn)[None] * jnp.imag(shapes)
+        return found.natural_frequency, found.damping_ratio, turned
 
     def _tables(self) -> list[tables.PrintedTable]:
         i = self.identification
@@ -328,7 +334,7 @@ def _as_estimate(responses: MeasuredResponse) -> ResponseEstimate:
         outputs,
         tuple(responses.inputs[u].unit for u in inputs),
         tuple(units[y] for y in outputs),
-        Transforms(f, H, np.zeros(0), np.ones(1), 1.0, None, False, 1.0, np.ones(1), 0, ()),
+        Transforms(f, H, np.ones(1), rate=1.0, effective=1.0),
     )
 
 
@@ -358,7 +364,8 @@ def _data(e: ResponseEstimate, kept: np.ndarray) -> Responses:
             X = e.segments.spectra[: len(e.inputs), :, kept]
             seen = np.einsum("jsf,fji->sfi", X.conj(), np.linalg.inv(a.input_power[kept]))
             seen = seen * np.sqrt(e.segments.effective / a.freedom) * X.shape[1]
-            replicates = np.einsum("osf,sfi->sfoi", residuals(e, kept), seen)
+            E = residuals(e.segments, e.H, kept)
+            replicates = np.einsum("osf,sfi->sfoi", E, seen)
     if e.method == SPECTRA:
         functions = pole_functions.by_samples(s, 1 / e.segments.rate)
     elif e.leaks:
@@ -378,8 +385,8 @@ def _noise(e: ResponseEstimate, a: Averages, H: np.ndarray, kept: np.ndarray) ->
 
     lines = int(np.ceil(FREEDOM / a.freedom))
     size = lines + 1 - lines % 2
-    if not e.segments.periodic:
-        E = residuals(e, kept)
+    if not e.segments.periods:
+        E = residuals(e.segments, e.H, kept)
         share = e.segments.effective / E.shape[1] / a.freedom
         return uniform_filter1d(cross(E, E), size, axis=0) * share
     Z = deviations(e.segments)

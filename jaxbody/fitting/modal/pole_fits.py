@@ -26,10 +26,11 @@ from jaxbody.fitting.modal.pole_functions import PoleFunction
 ROUNDS = 60  # steps of the search at most
 CONVERGED = 1e-9  # relative change of the sum of squares in the last step
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12
-ByOutput = dict[int, np.ndarray]
-
 FARTHEST = 0.2  # largest step of a pole, relative to it
 SINGULAR = 1e-11  # smallest singular value of an output, relative, that counts
+STUCK = 1e6  # damping from which no step reduces the sum of squares
+
+ByOutput = dict[int, np.ndarray]
 
 
 class Responses(NamedTuple):
@@ -47,21 +48,19 @@ class Responses(NamedTuple):
     d: np.ndarray
     functions: PoleFunction
     correlation: np.ndarray
-    lags: np.ndarray
+    lags: tuple[complex, ...]
     replicates: np.ndarray | None
     shared: int
 
 
 class PoleFit(NamedTuple):
-    """A fit: `poles` (nm,), participation factors `l` (nm, nu), `shapes` psi (nm, ny), residual
-    terms `upper` and `lower` (ny, nu), `H` that they give, and covariances: `of_poles` (nm, 2, 2)
-    of real and imaginary parts, `of_shapes` (nm, ny, 2, 2); `chi2` over its degrees of freedom."""
+    """A fit: `poles` (nm,), participation factors `l` (nm, nu), `shapes` psi (nm, ny), `H` that
+    they give with the residual terms, and covariances: `of_poles` (nm, 2, 2) of real and imaginary
+    parts, `of_shapes` (nm, ny, 2, 2); `chi2` over its degrees of freedom."""
 
     poles: np.ndarray
     l: np.ndarray
     shapes: np.ndarray
-    upper: np.ndarray
-    lower: np.ndarray
     H: np.ndarray
     of_poles: np.ndarray
     of_shapes: np.ndarray
@@ -74,25 +73,22 @@ def fit_poles(data: Responses, poles: np.ndarray, l: np.ndarray) -> PoleFit:
     fixed = np.argmax(np.abs(l), 1)  # the input whose factor stays one
     l = l / l[np.arange(len(l)), fixed][:, None]
     state = _State(data, poles, l, fixed)
-    damping, converged = FIRST_DAMPING, False
+    damping = FIRST_DAMPING
     for _ in range(ROUNDS):
         G, gradient = state.normal_equations()
-        scale = np.diag(G).copy()
         while True:
-            step = np.linalg.solve(G + damping * np.diag(scale), gradient)
+            step = np.linalg.solve(G + damping * np.diag(np.diag(G)), gradient)
             trial = state.moved(step)
-            if trial.square <= state.square * (1 + 1e-14) or damping > 1e6:
+            if trial.square < state.square or damping > STUCK:
                 break
             damping *= 10
-        change = state.square - trial.square
-        if damping > 1e6:
-            converged = True
-            break
-        state, damping = trial, max(damping / 10, LEAST_DAMPING)
-        if change <= CONVERGED * state.square:
-            converged = True
-            break
-    return state.result(converged)
+        finished = state.square - trial.square <= CONVERGED * state.square
+        if trial.square < state.square:
+            state = trial
+        if finished:
+            return state.result(True)
+        damping = max(damping / 10, LEAST_DAMPING)
+    return state.result(False)
 
 
 class _State:
@@ -100,6 +96,8 @@ class _State:
 
     def __init__(self, data: Responses, poles: np.ndarray, l: np.ndarray, fixed: np.ndarray):
         self.data, self.poles, self.l, self.fixed = data, poles, l, fixed
+        both = [(p, p.conjugate()) for p in poles.tolist()]
+        self.functions = [[(p, *data.functions(p)) for p in pair] for pair in both]
         self.outputs = [_Output(self, o) for o in range(data.H.shape[1])]
         self.square = sum(float(o.r @ o.r) for o in self.outputs)
 
@@ -140,13 +138,10 @@ class _State:
                 of_shapes[r, k] = C[np.ix_([r, nm + r], [r, nm + r])]
         pairs = [np.ix_([r, nm + r], [r, nm + r]) for r in range(nm)]
         count = 2 * data.H.size - len(G) - sum(len(o.c) for o in self.outputs)
-        terms = np.array([o.c[2 * nm :].reshape(2, nu) for o in self.outputs])
         return PoleFit(
             self.poles,
             self.l,
             np.array([o.c[:nm] + 1j * o.c[nm : 2 * nm] for o in self.outputs]).T,
-            terms[:, 0],
-            terms[:, 1],
             np.stack([o.H for o in self.outputs], 1),
             np.array([covariance[pair] for pair in pairs]),
             of_shapes,
@@ -160,11 +155,12 @@ class _Output:
     Jacobian J of the projected residuals by poles and participation factors."""
 
     def __init__(self, state: _State, o: int):
-        data, poles, l = state.data, state.poles, state.l
+        data, l = state.data, state.l
         nm, nu = l.shape
         d, white = data.d[o], data.whitening[:, o]
-        columns, slopes = zip(*(_columns(data, p, d) for p in poles), strict=True)
-        here, there = (np.stack([c[i] for c in columns]) for i in (0, 1))  # (nm, nf, nu)
+        each = [[_column(data.s, d, *one) for one in pair] for pair in state.functions]
+        # of poles and of their conjugates, with derivatives by them (nm, nf, nu)
+        (here, slope), (there, other) = np.moveaxis(np.array(each), 0, 2)
         one, two = here * l[:, None], there * l.conj()[:, None]
         power = data.s[:, None] ** d
         Phi = np.concatenate([one + two, 1j * (one - two)])  # (2 nm, nf, nu)
@@ -183,7 +179,6 @@ class _Output:
         self.local = U @ back.T  # (rows, coefficients): c = local' y
         self.H = np.einsum("c,cfu->fu", self.c, Phi)
         psi = self.c[:nm] + 1j * self.c[nm : 2 * nm]
-        slope, other = (np.stack([c[i] for c in slopes]) for i in (0, 1))
         a = psi[:, None, None] * l[:, None] * slope
         b = (psi.conj()[:, None] * l.conj())[:, None] * other
         parts = [a + b, 1j * (a - b)]
@@ -198,22 +193,17 @@ class _Output:
         self.J = self.J_all - U @ (U.T @ self.J_all)
 
 
-def _columns(data: Responses, p: complex, d: np.ndarray) -> tuple[tuple, tuple]:
-    """Return s^d g of a pole and of its conjugate (nf, nu), and their derivatives by these poles.
+def _column(
+    s: np.ndarray, d: np.ndarray, p: complex, g: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return s^d g of a pole (nf, nu), and its derivative by the pole, from g and its derivative.
 
     s^d/(s - p) is the sum of (s^d - p^d)/(s - p), a polynomial, which windows do not change, and
     p^d/(s - p)."""
-    columns, slopes = [], []
-    s = data.s[:, None]
-    for pole, (g, slope) in (
-        (p, data.functions(p)),
-        (p.conjugate(), data.functions(p.conjugate())),
-    ):
-        polynomial = np.where(d == 0, 0.0, np.where(d == 1, 1.0, s + pole))
-        columns.append(polynomial + pole**d * g[:, None])
-        rise = np.where(d == 0, 0.0, d * pole ** np.maximum(d - 1, 0))
-        slopes.append((d == 2) * 1.0 + rise * g[:, None] + pole**d * slope[:, None])
-    return tuple(columns), tuple(slopes)
+    g, slope = g[:, None], slope[:, None]
+    polynomial = np.where(d == 0, 0.0, np.where(d == 1, 1.0, s[:, None] + p))
+    rise = np.where(d == 0, 0.0, d * p ** np.maximum(d - 1, 0))
+    return polynomial + p**d * g, (d == 2) * 1.0 + rise * g + p**d * slope
 
 
 def _stacked(x: np.ndarray) -> np.ndarray:

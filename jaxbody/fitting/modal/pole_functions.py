@@ -12,10 +12,21 @@ the transform of sampled correlations e^(p k h), of which the one at zero shift 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 PoleFunction = Callable[[complex], tuple[np.ndarray, np.ndarray]]
+
+
+def frequency_of(poles: Any) -> Any:
+    """Return |p|/(2 pi) [Hz]."""
+    return np.abs(poles) / (2 * np.pi)
+
+
+def damping_ratio_of(poles: Any) -> Any:
+    """Return -Re p/|p|."""
+    return -np.real(poles) / np.abs(poles)
 
 
 def exact(s: np.ndarray) -> PoleFunction:

@@ -19,7 +19,7 @@ D. J. Ewins, Modal Testing, 2nd ed. (2000), ch. 3.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -285,12 +285,12 @@ def estimated(
     segments = segments._replace(
         frequencies=segments.frequencies[lines], spectra=segments.spectra[:, :, lines]
     )
-    Z, K, n = segments.spectra, segments.spectra.shape[1], segments.effective
-    if segments.periodic:  # means over the periods of each record; the rest is noise
-        Z, counts = means_of_periods(segments)
-        Z, freedom = Z * np.sqrt(counts)[:, None], float(K - len(counts))
+    K, n, periodic = segments.spectra.shape[1], segments.effective, bool(segments.periods)
+    if periodic:  # means over the periods of each record; the rest is noise
+        means = means_of_periods(segments)
+        Z, freedom = means * np.sqrt(segments.periods)[:, None], float(K - means.shape[1])
     else:
-        freedom = n - nu
+        Z, freedom = segments.spectra, n - nu
     if freedom < 1:
         raise JaxbodyError(
             Problem(
@@ -315,67 +315,64 @@ def estimated(
         H = _total(S_xx, S_yx, S_yy)
     else:
         H = H1 if method == "H1" else S_yy[:, :, None] / S_yx.conj()
-    estimate = ResponseEstimate(
-        segments.frequencies,
-        np.where(silent, np.nan, H),
-        np.abs(H1),
-        inputs,
-        outputs,
-        units[:nu],
-        units[nu:],
-        segments,
-        method=method,
-    )
-    noise = (
-        power(residuals(estimate)) / freedom
-        if segments.periodic
-        else (S_yy - explained) * n / freedom
-    )
-    noise = np.maximum(noise, ROUND_OFF**2 * S_yy)
-    averages = Averages(S_xx * n, noise, freedom)
-    of_one = noise if segments.periodic else noise * freedom / n
-    each = np.real(np.diagonal(inverse, axis1=1, axis2=2))[:, None]
-    seen = np.abs(H1) ** 2 / each
+    H = np.where(silent, np.nan, H)
+    of_one = power(residuals(segments, H)) / freedom if periodic else S_yy - explained
+    of_one = np.maximum(of_one, ROUND_OFF**2 * S_yy)
+    averages = Averages(S_xx * n, of_one if periodic else of_one * n / freedom, freedom)
+    seen = np.abs(H1) ** 2 / np.real(np.diagonal(inverse, axis1=1, axis2=2))[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
-        estimate = replace(
-            estimate,
-            spread=np.where(silent, np.nan, averages.spread),
-            averages=averages,
-            coherence=np.where(silent[..., 0], np.nan, explained / (explained + of_one)),
-            partial=np.where(silent, np.nan, seen / (seen + of_one[:, :, None])),
+        return ResponseEstimate(
+            segments.frequencies,
+            H,
+            np.where(silent, np.nan, averages.spread),
+            inputs,
+            outputs,
+            units[:nu],
+            units[nu:],
+            segments,
+            averages,
+            np.where(silent[..., 0], np.nan, explained / (explained + of_one)),
+            np.where(silent, np.nan, seen / (seen + of_one[:, :, None])),
+            _leaks(segments, H),
+            method,
         )
-    if segments.periodic or segments.decay is not None or np.ptp(segments.window) > 0:
-        return replace(estimate, leaks=not segments.periodic and segments.decay is None)
-    leaked = leakage(residuals(estimate))
+
+
+def _leaks(segments: Transforms, H: np.ndarray) -> bool:
+    """Return whether lines contain those beside them; warns LEAKAGE of segments without a window
+    that are no periods."""
+    if segments.periods or segments.decay is not None:
+        return False
+    if np.ptp(segments.window) > 0:
+        return True
+    leaked = leakage(residuals(segments, H))
     if leaked > SMOOTH:
         warn(
             "LEAKAGE",
             f"neighboring lines of the residuals are correlated ({leaked:.2f}), as the segments "
             'have no window and are not periods: give window="hann"',
         )
-    return replace(estimate, leaks=leaked > SMOOTH)
+    return leaked > SMOOTH
 
 
-def means_of_periods(segments: Transforms) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means of the transforms over the periods of each record (channels, records, nf),
-    and the number of periods of each."""
-    records, counts = np.unique(segments.groups, return_counts=True)
-    each = [segments.spectra[:, segments.groups == record].mean(1) for record in records]
-    return np.stack(each, 1), counts
+def means_of_periods(segments: Transforms) -> np.ndarray:
+    """Return the means of the transforms over the periods of each record (channels, records,
+    nf)."""
+    ends = np.cumsum(segments.periods)[:-1]
+    return np.stack([part.mean(1) for part in np.split(segments.spectra, ends, 1)], 1)
 
 
 def deviations(segments: Transforms) -> np.ndarray:
     """Return the transforms of periods less their mean over the record (channels, n, nf)."""
-    means, counts = means_of_periods(segments)
-    return segments.spectra - np.repeat(means, counts, 1)
+    return segments.spectra - np.repeat(means_of_periods(segments), segments.periods, 1)
 
 
-def residuals(estimate: ResponseEstimate, kept: Any = slice(None)) -> np.ndarray:
+def residuals(segments: Transforms, H: np.ndarray, kept: Any = slice(None)) -> np.ndarray:
     """Return y - H x of each segment (ny, n, nf) at the frequencies `kept`; of periods, less the
-    mean of their record."""
-    segments, nu = estimate.segments, len(estimate.inputs)
-    Z = (deviations(segments) if segments.periodic else segments.spectra)[:, :, kept]
-    H = np.nan_to_num(estimate.H[kept])
+    mean of their record; at lines without H, y."""
+    Z = deviations(segments) if segments.periods else segments.spectra
+    Z, H = Z[:, :, kept], np.nan_to_num(H[kept])
+    nu = H.shape[2]
     return Z[nu:] - sum(H[:, :, j].T[:, None] * Z[j] for j in range(nu))
 
 

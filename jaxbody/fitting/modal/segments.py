@@ -1,4 +1,4 @@
-"""Transforms of records and their transforms: windows with overlap, whole periods of a periodic
+"""Segments of records and their transforms: windows with overlap, whole periods of a periodic
 input, hits of an impact hammer.
 
     X_s(f) = sum_t w(t) x_s(t) exp(-i 2 pi f t) sqrt(1/(rate sum w^2))
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.records.conditioning import check_complete, check_even
 from jaxbody.records.records import Record
-from jaxbody.records.sampling_checks import evenly_spaced
 
 PERIODIC = 0.99  # autocorrelation of an input after one period, from which it counts as periodic
 APART = 0.5  # autocorrelation below which the peak at zero shift has ended
@@ -61,23 +61,22 @@ class ImpactWindow:
 class Transforms(NamedTuple):
     """Transforms of the segments of all records.
 
-    `spectra`: (channels, segments, frequencies); `groups`: record of each segment; `window`: (n,)
-    samples; `decay`: as in ImpactWindow; `periodic`: True for whole periods of a periodic input;
-    `effective`: number of independent averages that the segments amount to; `lags`: correlation of
-    the errors of two lines k lines apart, k = 0, 1, ...; `shared`: how many of the next segments
-    have samples in common with one; `notes` for the table."""
+    `spectra`: (channels, segments, frequencies); `window`: (n,) samples; `effective`: number of
+    independent averages that the segments amount to; `periods`: number of periods of each record
+    where segments are whole periods of a periodic input, else empty; `decay`: as in ImpactWindow;
+    `lags`: correlation of the errors of two lines k lines apart, k = 0, 1, ...; `shared`: how many
+    of the next segments have samples in common with one; `notes` for the table."""
 
     frequencies: np.ndarray
     spectra: np.ndarray
-    groups: np.ndarray
     window: np.ndarray
     rate: float
-    decay: float | None
-    periodic: bool
     effective: float
-    lags: np.ndarray
-    shared: int
-    notes: tuple[str, ...]
+    periods: tuple[int, ...] = ()
+    decay: float | None = None
+    lags: tuple[complex, ...] = (1.0,)
+    shared: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def channels_of(records: Sequence[Record], names: Sequence[str], where: str) -> list[np.ndarray]:
@@ -86,14 +85,8 @@ def channels_of(records: Sequence[Record], names: Sequence[str], where: str) -> 
     with Problems() as problems:
         for i, record in enumerate(records):
             place = f"{where}.record" + (f"[{i}]" if len(records) > 1 else "")
-            if not evenly_spaced(record.times):
-                problems.add(
-                    "NOT_UNIFORM",
-                    place,
-                    "has steps of different lengths",
-                    limit="equal steps",
-                    hint="Use jb.resample(record, rate=...).",
-                )
+            check_even(record, place, problems)
+            check_complete(record, names, place, problems)
             if abs(record.sampling.rate / records[0].sampling.rate - 1) > 1e-6:
                 problems.add(
                     "RATE_MISMATCH",
@@ -104,22 +97,14 @@ def channels_of(records: Sequence[Record], names: Sequence[str], where: str) -> 
                     hint="Use jb.resample(record, rate=...).",
                 )
             for name in names:
-                x = problems.gather(lambda record=record, name=name: record[name])
-                if x is not None and x.ndim != 1:
+                if name in record.channels and record[name].ndim > 1:
                     problems.add(
                         "BAD_SHAPE",
                         f"{place}['{name}']",
-                        f"has {x.shape[1]} components",
-                        value=x.shape,
+                        f"has {record[name].shape[1]} components",
+                        value=record[name].shape,
                         limit="one number at each time",
                         hint="Read each component as a channel of its own.",
-                    )
-                elif x is not None and np.isnan(x).any():
-                    problems.add(
-                        "MISSING",
-                        f"{place}['{name}']",
-                        f"lacks {int(np.isnan(x).sum())} samples",
-                        hint='Read the record with fill="linear", or give a part without gaps.',
                     )
     return [np.stack([record[name] for name in names]) for record in records]
 
@@ -182,15 +167,14 @@ def cut(
     return Transforms(
         np.arange(n // 2 + 1) * rate / n,
         spectra[0] if len(spectra) == 1 else np.concatenate(spectra, 1),
-        np.repeat(np.arange(len(data)), counts),
         w,
         rate,
-        None,
-        False,
         independent_averages(w, step, counts),
-        np.ones(1),
-        (n - 1) // step,
-        (f"{sum(counts)} segments of {n / rate:.6g} s, window {name}, overlap {1 - step / n:.0%}",),
+        shared=(n - 1) // step,
+        notes=(
+            f"{sum(counts)} segments of {n / rate:.6g} s, window {name}, "
+            f"overlap {1 - step / n:.0%}",
+        ),
     )
 
 
@@ -266,15 +250,11 @@ def _periods(data: list[np.ndarray], rate: float, period: int, where: str) -> Tr
     return Transforms(
         np.arange(period // 2 + 1) * rate / period,
         np.concatenate(spectra, 1),
-        np.repeat(np.arange(len(data)), counts),
         w,
         rate,
-        None,
-        True,
         float(sum(counts)),
-        np.ones(1),
-        0,
-        (note + (f"; {dropped} at the beginning left out as transient" if dropped else ""),),
+        periods=tuple(counts),
+        notes=(note + (f"; {dropped} at the beginning left out as transient" if dropped else ""),),
     )
 
 
@@ -300,11 +280,11 @@ def _hits(
             )
         )
     n = round(segment * rate)
-    pieces, groups, doubled = [], [], 0
+    pieces, doubled = [], 0
     level = HIT * max(np.abs(x[0] - np.median(x[0])).max() for x in data)
     length = n if window.pulse is None else max(round(window.pulse * rate), 1)
     before = max(round(BEFORE * n), 2)
-    for i, x in enumerate(data):
+    for x in data:
         x = x - np.median(x, 1, keepdims=True)
         loud, at = np.flatnonzero(np.abs(x[0]) > level), 0
         while (later := loud[loud >= at]).size:
@@ -319,7 +299,6 @@ def _hits(
                 continue
             piece[0, end:] = 0.0
             pieces.append(piece)
-            groups.append(i)
     if not pieces:
         raise too_short(where, n / rate, max(x.shape[1] for x in data) / rate)
     w = np.ones(n) if window.decay is None else np.exp(-np.arange(n) / rate / window.decay)
@@ -329,13 +308,10 @@ def _hits(
     return Transforms(
         np.arange(n // 2 + 1) * rate / n,
         spectra,
-        np.array(groups),
         np.ones(n),
         rate,
-        window.decay,
-        False,
         float(len(pieces)),
-        lags[: 1 + int(np.flatnonzero(np.abs(lags) > LEAST)[-1])],
-        0,
-        (note + (f"; {doubled} double hits left out" if doubled else ""),),
+        decay=window.decay,
+        lags=tuple(lags[: 1 + int(np.flatnonzero(np.abs(lags) > LEAST)[-1])]),
+        notes=(note + (f"; {doubled} double hits left out" if doubled else ""),),
     )

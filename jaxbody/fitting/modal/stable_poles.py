@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbody.fitting.modal.pole_functions import damping_ratio_of, frequency_of
+
 ARC = 0.9  # part of the circle that the band takes
 # changes from one order to the next, up to which a pole is stable
 FREQUENCY, DAMPING, SHAPE = 0.01, 0.1, 0.95
@@ -42,11 +44,11 @@ class Diagram(NamedTuple):
 
     @property
     def frequency(self) -> np.ndarray:
-        return np.abs(self.poles) / (2 * np.pi)
+        return frequency_of(self.poles)
 
     @property
     def damping_ratio(self) -> np.ndarray:
-        return -np.real(self.poles) / np.abs(self.poles)
+        return damping_ratio_of(self.poles)
 
 
 def diagram(f: np.ndarray, H: np.ndarray, spread: np.ndarray, orders: np.ndarray) -> Diagram:
@@ -88,7 +90,7 @@ def _roots(M: np.ndarray, nu: int, start: float, width: float) -> tuple[np.ndarr
     complex_angle = np.mod(np.angle(z), 2 * np.pi) - 1j * np.log(np.abs(z))
     frequency = start + width * (complex_angle / (2 * np.pi) - (1 - ARC) / 2) / ARC
     poles = 2j * np.pi * frequency
-    ratio = -poles.real / np.abs(poles)
+    ratio = damping_ratio_of(poles)
     inside = (frequency.real > start) & (frequency.real < start + width)
     kept = inside & (ratio > 0) & (ratio < DAMPED)
     w = vectors[:nu, kept].T
@@ -136,9 +138,13 @@ def _same(p: complex, q: complex, w: np.ndarray, v: np.ndarray, change: float) -
     """Return whether pole p with participation w is stable against q with v."""
     if not np.isfinite(change) or abs(abs(p) / abs(q) - 1) > FREQUENCY:
         return False
-    ratios = -p.real / abs(p), -q.real / abs(q)
-    alike = abs(np.vdot(w, v)) ** 2 / (np.vdot(w, w) * np.vdot(v, v)).real
-    return bool(abs(ratios[0] / ratios[1] - 1) < DAMPING and alike > SHAPE)
+    changed = abs(damping_ratio_of(p) / damping_ratio_of(q) - 1)
+    return bool(changed < DAMPING and _alike(w, v))
+
+
+def _alike(w: np.ndarray, v: np.ndarray) -> bool:
+    """Return whether participation factors agree, by their modal assurance criterion."""
+    return bool(abs(np.vdot(w, v)) ** 2 > SHAPE * (np.vdot(w, w) * np.vdot(v, v)).real)
 
 
 def chosen(found: Diagram) -> tuple[np.ndarray, np.ndarray]:
@@ -157,9 +163,8 @@ def chosen(found: Diagram) -> tuple[np.ndarray, np.ndarray]:
         for other, those in zip(picks, taken, strict=True):
             q, v = found.poles[other], found.participation[other]
             near = abs(p - q) < max(2 * max(-p.real, -q.real), FREQUENCY * abs(q) / 2)
-            alike = abs(np.vdot(w, v)) ** 2 / (np.vdot(w, w) * np.vdot(v, v)).real > SHAPE
             both = np.isin(found.order[m], found.order[those]).sum()
-            twin = twin or (near and alike and both < LEAST)
+            twin = twin or (near and _alike(w, v) and both < LEAST)
         if not twin:
             picks.append(pick)
             taken.append(m)

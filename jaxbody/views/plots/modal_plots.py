@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import check_all_known
-from jaxbody.fitting.experiments.measurements import small_motions
 from jaxbody.fitting.modal.identified_modes import IdentifiedModes
 from jaxbody.fitting.modal.response_estimates import EstimatedResponse
 from jaxbody.model.models import Model
@@ -159,8 +158,7 @@ def plot_identified_modes(
 
 
 def _agreement(identified: IdentifiedModes, model: Model, ax: Any) -> Any:
-    agreement = np.asarray(identified.mac(model))
-    frequency = identified.predicted(small_motions(model))[0]
+    frequency, agreement = map(np.asarray, identified.agreement(model))
     rows, columns = agreement.shape
     ax = heat_map(
         ax,

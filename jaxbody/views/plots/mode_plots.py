@@ -201,6 +201,7 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
 
 
 def mode_heads(frequency: Any) -> list[str]:
+    """Return the number and the frequency [Hz] of each mode, on two lines."""
     return [f"{i + 1}\n{f:.4g} Hz" for i, f in enumerate(np.asarray(frequency))]
 
 

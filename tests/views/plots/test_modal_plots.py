@@ -133,7 +133,7 @@ def test_names_of_modes_that_are_close_stay_apart():
     test = jb.MeasuredResponse(
         f,
         inputs={"f": INPUTS["f1"]},
-        outputs={"y": OUTPUTS["y1"]},
+        outputs={"y": jb.Position("m1", axis="x")},
         measured={("y", "f"): H},
         noise=1e-4,
     )
