@@ -124,6 +124,7 @@ def test_numbers_in_files_have_units(tmp_path):
         jb.read_model(path)
 
 
+@pytest.mark.nan
 def test_a_report_of_a_system_that_is_not_symmetric_shows_complex_modes(tmp_path, capsys):
     (path := tmp_path / "wing.toml").write_text(AIRFOIL)
     main(["report", str(path), "--part", "model", "--part", "modes"])

@@ -135,6 +135,7 @@ def test_derivatives_of_the_cost_of_output_feedback():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(cost))(16000.0), slope, rtol=1e-8)
 
 
+@pytest.mark.nan
 @pytest.mark.parametrize("every", [None, 0.01])
 def test_what_grows_unseen_is_refused_by_name(every):
     """A mass on a negative spring, of which a sensor elsewhere tells nothing."""

@@ -195,6 +195,7 @@ TWO = jb.Model(
 )
 
 
+@pytest.mark.nan
 @pytest.mark.parametrize("every", [None, 0.1])
 def test_what_cannot_be_reached_is_named(every):
     lin = jb.linearize(TWO, TWO.reference)
@@ -256,6 +257,7 @@ def test_many_designs_at_once(car):
     np.testing.assert_allclose(each[1], 1.2364099793358, rtol=1e-12)
 
 
+@pytest.mark.nan
 def test_margins_of_the_regulator_of_a_car(ride):
     """Of the loop with four states, in which nothing drifts, by python-control."""
     control = pytest.importorskip("control")

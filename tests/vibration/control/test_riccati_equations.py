@@ -84,6 +84,7 @@ def test_a_weight_of_zero_has_its_derivative():
     np.testing.assert_allclose(jax.jit(jax.grad(cost))(0.0), 1 / 4, rtol=1e-12)
 
 
+@pytest.mark.nan
 @pytest.mark.parametrize("function", [CARE, DARE], ids=["continuous", "sampled"])
 @pytest.mark.parametrize("growth", [0.0, 0.5])
 def test_what_grows_and_cannot_be_reached_has_no_solution_unless_it_is_unseen(function, growth):

@@ -84,6 +84,7 @@ def test_four_pairs_are_drawn_and_said_to_be_some(responses):
     drawn_well(ax.figure)
 
 
+@pytest.mark.nan
 def test_lines_without_excitation_are_left_out_and_each_unit_has_a_panel():
     rng, t = np.random.default_rng(1), np.arange(4096) / RATE
     tones = np.arange(1, 100, 2) / 4.0  # [Hz]: every second line of a period of 4 s
