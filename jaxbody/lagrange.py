@@ -19,8 +19,6 @@ dc/dDelta, lambda their multipliers, z the states of elements. Faster, structure
 equations are in `mechanics`; tests compare them with this file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
 """Checks of arguments other than arrays: dicts, names, whole and positive numbers, random keys,
 objects, functions from the user."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable, Collection, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Numbers from users: checked and converted to float arrays once, when they are given."""
 
-from __future__ import annotations
-
 from datetime import date
 from numbers import Real
 from typing import Any

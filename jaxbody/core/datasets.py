@@ -4,8 +4,6 @@ pandas.
 Both libraries are imported here, at their first use, and are an extra: `pip install
 'jaxbody[xarray]'`. The leading axis of a batch becomes `sample`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from itertools import product
 from typing import Any, ClassVar

@@ -23,8 +23,6 @@ exist in that form but are not used yet. Programs will then have `call_hi_primit
 has a rule for `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any

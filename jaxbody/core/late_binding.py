@@ -2,8 +2,6 @@
 assemble closed loops. `jaxbody/__init__` registers them by name; they are imported at their first
 use."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -5,8 +5,6 @@ A thread writes the last reports of the outermost computation and of those withi
 cleared at the end.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 import threading

@@ -1,8 +1,6 @@
 """Files of a user: extension, existence, kind, size and encoding are checked before they are read;
 errors of files that cannot be written."""
 
-from __future__ import annotations
-
 import math
 import stat
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 """Printed results: small tables with units, in a terminal and in a notebook, and `plot` for a
 picture."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import wraps

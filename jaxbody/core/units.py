@@ -7,8 +7,6 @@ m", "N.m", "N-m" or "N*m"; powers are "m/s^2", "m/s2", "m s-2" or "m/s**2". A sl
 next unit only, or by a product in parentheses.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

@@ -7,8 +7,6 @@ Each point starts from the previous one; the multiplier of b is the slope of the
 determines the next b.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Iterable
@@ -40,7 +38,7 @@ class Front(Labeled, Result):
     `tune`.
 
     >>> import inspect
-    >>> inspect.signature(jb.pareto).return_annotation  # pareto returns one
+    >>> inspect.signature(jb.pareto).return_annotation.__name__  # pareto returns one
     'Front'
     """
 

@@ -5,8 +5,6 @@ Each takes results of the library and returns one number, differentiable with re
 all parameters.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

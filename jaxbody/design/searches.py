@@ -3,8 +3,6 @@
 minimize f(u),   low <= u <= high,   c_min <= c(u) <= c_max
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any

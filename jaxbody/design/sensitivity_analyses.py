@@ -1,8 +1,6 @@
 """Sensitivities of quantities to parameters: exact slopes, and the values after a decrease or an
 increase of each parameter."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

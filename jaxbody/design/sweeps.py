@@ -4,8 +4,6 @@ computed in chunks by one program.
 The points of a sweep are never all in memory: `rows(first, last)` makes those of a chunk.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import warnings

@@ -6,8 +6,6 @@ x + s xi, xi normal and independent:   first order    mean f,             varian
                                        variance the same + sum (f_ij s_i s_j)^2/2
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

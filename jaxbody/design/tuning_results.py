@@ -5,8 +5,6 @@ jump = [g(h) - g(-h)] - [g(2 h) - g(h)] - [g(-h) - g(-2 h)],
 g a derivative: of the order of h^3 where it is smooth
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 """Printed form of laws, elements, bodies and other objects that consist of numbers: the class, and
 each field with its numbers and unit."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

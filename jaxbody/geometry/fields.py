@@ -1,8 +1,6 @@
 """Fields whose unit and domain are stated once, in the class; a unit may be a formula of words
 whose units the owner defines."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Any

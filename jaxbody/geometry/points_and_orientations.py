@@ -1,8 +1,6 @@
 """Points, directions and orientations as users give them: unit quaternions, rotation matrices,
 Euler angles with their sequence."""
 
-from __future__ import annotations
-
 import re
 from functools import reduce
 from itertools import pairwise

@@ -7,8 +7,6 @@ has wrong second derivatives for rotations of 1e-11 to 1e-8. All functions are j
 reason given in geometry/vectors.py.
 """
 
-from __future__ import annotations
-
 from math import factorial
 
 import jax

@@ -4,8 +4,6 @@
 They are jitted, so that JAX traces and differentiates each of them once for all uses with arrays of
 the same shapes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -16,8 +16,6 @@ brings a state back to c = c' = 0 by Newton steps in the metric of M,
 with M and J of the state from which the projection starts.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple

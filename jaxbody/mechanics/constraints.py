@@ -12,8 +12,6 @@ inverse is kept; each of these makes the derivatives of one more order exact, in
 mode.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

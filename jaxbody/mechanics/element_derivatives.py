@@ -1,8 +1,6 @@
 """Derivatives of the elements at a state, for all linearizations: of their deformations in (Delta,
 Xi), and of their energies in these."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

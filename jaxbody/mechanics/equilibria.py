@@ -12,8 +12,6 @@ step (load_paths); where that cannot start, because K is singular without them, 
 the potential of dead loads and weights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -7,8 +7,6 @@ length. A model with closures is first moved to the nearest configuration that f
 stays on them in all steps.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

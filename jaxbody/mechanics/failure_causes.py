@@ -1,8 +1,6 @@
 """Causes of failed motions and equilibria, with the names of parts: numbers that are not finite,
 elements turned too far, springs of zero length."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

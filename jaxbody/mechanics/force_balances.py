@@ -10,8 +10,6 @@ of its small motions grows; it flutters where a pair of poles grows, and diverge
 does; of sampled controllers stability is not counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

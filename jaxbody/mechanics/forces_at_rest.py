@@ -5,8 +5,6 @@ dV/dDelta - Q + J' lambda = 0,
 reaction of a condition = lambda, a moment times the size of the model where it is on an angle
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -9,8 +9,6 @@ in scaled increments, in meters. J^+ is the least squares inverse, which allows 
 conditions; the multipliers of conditions that share a force have the least norm.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import equinox as eqx

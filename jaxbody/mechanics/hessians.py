@@ -19,8 +19,6 @@ Rows: the speeds v, then six for each support. Where every body is free on the w
 the identity.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import equinox as eqx

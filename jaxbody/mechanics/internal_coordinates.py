@@ -8,8 +8,6 @@ Coordinates with mass come first, then those without, whose T_yy is 0. In slow m
 by K_yy y + K_yx x = 0, so that (x, y) = T x, and a matrix H becomes T' H T.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax.numpy as jnp

@@ -9,8 +9,6 @@ converges, with K positive definite at every iteration, so that the path stays o
 of the unloaded equilibrium; otherwise the step is divided by four.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

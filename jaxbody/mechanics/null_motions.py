@@ -1,7 +1,5 @@
 """Motions that a stiffness or mass matrix does not resist, described in words."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

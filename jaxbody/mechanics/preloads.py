@@ -11,8 +11,6 @@ dV/dDelta = 0, with the projector P onto the motions that closures leave free (f
 the other coordinates follow those that may move.
 """
 
-from __future__ import annotations
-
 from fnmatch import fnmatchcase
 
 import equinox as eqx

@@ -8,8 +8,6 @@ Such a state is the initial state of a run that has been at rest for a long time
 tilted with its base, under gravity, at the speed of its base.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

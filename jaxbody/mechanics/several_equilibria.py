@@ -1,8 +1,6 @@
 """Several equilibria: searches from many starts at once, and their results in order of energy, with
 the stability of each."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

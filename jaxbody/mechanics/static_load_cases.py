@@ -1,8 +1,6 @@
 """Quasi-static load cases, such as those of engine mounts: accelerations in g, torques and forces,
 all cases in one batch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -5,8 +5,6 @@ The states of one table are contiguous in z, in the order of its rows. Coordinat
 relaxed where they are in equilibrium at the present deformation of the element.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Layout of the coordinates: a row of blocks, one for each owner of coordinates, with names,
 slices, units and descriptions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

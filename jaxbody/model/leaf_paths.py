@@ -6,8 +6,6 @@ file names. Paths of an experiment are "run1.initial.v", "run1.base.frequency" (
 support), "run1.corner.point" (a sensor).
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

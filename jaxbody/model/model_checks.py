@@ -1,8 +1,6 @@
 """Checks of a model: names that exist, joints that lead to the world, lines with a direction in the
 reference pose."""
 
-from __future__ import annotations
-
 import unicodedata
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A model: bodies, supports, elements and joints by name, kept as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

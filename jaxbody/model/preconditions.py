@@ -1,8 +1,6 @@
 """Checks that several public functions make before they compute, in NumPy: precision, memory,
 attachment, states."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,8 +1,6 @@
 """The size of a model, scales of its coordinates for comparisons with round-off, and mounts whose
 ends are drawn apart."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

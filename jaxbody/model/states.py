@@ -1,7 +1,5 @@
 """The state of a model."""
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax.numpy as jnp
 

@@ -5,8 +5,6 @@ a row.
 with arrays.)
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator
 from typing import Any

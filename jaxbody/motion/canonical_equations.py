@@ -12,8 +12,6 @@ conserves them. Compare Betsch, Siebert, Int. J. Numer. Meth. Engng 79 (2009) 44
 Wanner, Geometric Numerical Integration, VI.4.
 """
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp

@@ -1,8 +1,6 @@
 """The integration by diffrax, in blocks of steps or by its own loop: tolerances,
 statuses, samples."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

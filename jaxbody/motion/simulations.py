@@ -1,8 +1,6 @@
 """Nonlinear motion: the equations of motion integrated under imposed motions of the supports, and
 as a function of time, state and model for your own solver."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

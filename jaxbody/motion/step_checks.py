@@ -1,8 +1,6 @@
 """Checks of the steps of an integration: objects of diffrax, steps too long for the motion, for
 what acts on it or for a sampled controller."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import diffrax

@@ -1,7 +1,5 @@
 """Trajectories: results of a simulation, and quantities along them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
 """Explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in
 both modes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

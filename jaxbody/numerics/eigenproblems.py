@@ -15,8 +15,6 @@ is NaN unless all branches of a cluster have equal cotangents. Source: A. P. Sey
 Olhoff, Structural Optimization 8 (1994) 207.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

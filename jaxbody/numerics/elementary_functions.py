@@ -10,8 +10,6 @@ as the rounding of x does. Source of the reduction: W. J. Cody, W. Waite, Softwa
 Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

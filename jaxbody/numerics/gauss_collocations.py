@@ -1,8 +1,6 @@
 """Collocation at Gauss points: a symplectic integrator, whose energy error does not grow over
 many periods."""
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp

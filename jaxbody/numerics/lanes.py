@@ -8,8 +8,6 @@ rule fails, as it may when JAX changes an operation. `compile_times` shows both.
 are kept.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Tolerances that the precision of numbers allows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # largest last step of Newton's method, in roundings: the error that remains is of the order of

@@ -1,8 +1,6 @@
 """Small systems of equations, solved without LAPACK, whose calls would split a compiled program;
 independent rows of a matrix."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax.numpy as jnp

@@ -10,8 +10,6 @@ degree cannot cross them. Where a problem has a projection P, steps end at P(y1)
 what remains of it after the projection.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

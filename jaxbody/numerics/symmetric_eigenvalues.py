@@ -12,8 +12,6 @@ Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 3.3, 7.4, 7.6, 8
 second method is by Pal, Walker and Kahan.
 """
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 import numpy as np
 from jax import lax

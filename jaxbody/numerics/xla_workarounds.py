@@ -81,8 +81,6 @@ fusions compute again. Together this changed T1 to T4 by the ratios 1.1, 1.26, 1
 three bodies by 1.1, 1.05, 1 and 1.23.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 

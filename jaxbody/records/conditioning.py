@@ -4,8 +4,6 @@ Filters act forwards and backwards, without a shift in time. Derivatives and int
 the cubic spline through the samples. An offset b of a channel gives its integral the drift b t.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any

@@ -18,8 +18,6 @@ with the limit before they are read, because a small file can hold many. Source 
 Specification for the LabVIEW Measurement File, National Instruments.
 """
 
-from __future__ import annotations
-
 import gzip
 import re
 import zlib

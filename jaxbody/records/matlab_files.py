@@ -7,8 +7,6 @@ names of its fields and a matrix for each.
 Source: MAT-File Format, MathWorks.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

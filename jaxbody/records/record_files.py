@@ -1,7 +1,5 @@
 """Reading records and frequency responses from measurement files: columns, units and times."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Checks of the sampling and the samples of a record: rate, jitter, gaps, dead and saturated
 channels, likely wrong units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

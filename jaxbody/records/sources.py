@@ -1,8 +1,6 @@
 """Measurement files: their format, names of channels, numbers of data sets, and errors
 of readers."""
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import re

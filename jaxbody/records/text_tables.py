@@ -6,8 +6,6 @@ names; skipped lines are in the notes. Nothing is guessed about the numbers: a d
 footer or a line of another length is an error unless it is stated.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter

@@ -1,8 +1,6 @@
 """Universal files (UFF, UNV), sets 58: functions of time and frequency responses by node and
 direction, "4+Z"."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

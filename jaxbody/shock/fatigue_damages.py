@@ -15,8 +15,6 @@ Source: T. Dirlik, Application of computers in fatigue analysis, thesis, Univers
 (1985); ASTM E1049-85 (2017), 5.4.4.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -13,8 +13,6 @@ Y. Yasui et al., Proc. SMiRT-12 (1993), K13/1, as given by P. Vukobratovic, P. F
 Earthquake Eng. 14 (2016) 1683.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax.numpy as jnp

@@ -8,8 +8,6 @@ are log(reached/target); since they are fewer than the unknowns, each Levenberg-
 the smallest change of b and p that removes their linear part.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

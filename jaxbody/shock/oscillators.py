@@ -17,8 +17,6 @@ Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, who 
 recurrence for x and x'.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import jax

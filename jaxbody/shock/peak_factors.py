@@ -16,8 +16,6 @@ Source: A. G. Davenport, Proc. ICE 28 (1964) 187; A. Der Kiureghian, ASCE J. Eng
 1195; E. H. Vanmarcke, J. Appl. Mech. 42 (1975) 215.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -2,8 +2,6 @@
 their frequency and damping ratio: the base class, and design spectra of earthquakes, given by
 points or by the parameters of Eurocode 8 or ASCE 7."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

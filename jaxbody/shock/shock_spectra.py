@@ -1,8 +1,6 @@
 """Shock response spectra of records: the peaks of oscillators of many frequencies and damping
 ratios on a base with the recorded acceleration."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -32,8 +32,6 @@ matrix times the influence vector; A. Der Kiureghian, Earthquake Eng. Struct. Dy
 E. L. Wilson, A. Der Kiureghian, E. P. Bayo, same volume, 187.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, NamedTuple
 

@@ -1,8 +1,6 @@
 """Curves of suspensions: camber, toe, the steering axis, motion ratios, wheel rates and roll center
 over travel and steering."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -14,8 +14,6 @@ those of the forces divided by a stiffness k, so that all are in meters. A few m
 the last inverse is kept, are differentiated directly (mechanics/constraints.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple

@@ -6,8 +6,6 @@ where it has one; else the axes of its parent. It is relaxed in the reference po
 fulfilled there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -1,8 +1,6 @@
 """A car on four double wishbones, defined by its hard points: fourteen bodies, two closures at each
 wheel, in equilibrium as it is drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -16,8 +16,6 @@ its outward direction, both level:
     scrub radius  (C - K) . l       positive if the contact is outside
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

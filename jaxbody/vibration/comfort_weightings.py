@@ -7,8 +7,6 @@ a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parame
 table 3.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Damped and gyroscopic modes: the poles of M x'' + D x' + K x = 0, in pairs, with their
 complex shapes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

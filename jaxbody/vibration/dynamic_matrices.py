@@ -4,8 +4,6 @@ elimination or by sums over modes.
 Frequencies are the last axis of all arrays, so that operations run along them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -12,8 +12,6 @@ rates have kinks, which reduce the order of accuracy of a step, such as that of 
 the end of a gap.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -8,8 +8,6 @@ times the elastic stiffness, without gravity and tension. Frequencies are the la
 arrays, so that operations run along them.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,8 +1,6 @@
 """Shares in the energy of each mode, in percent: kinetic by body and direction, strain by element,
 dissipation by damper."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

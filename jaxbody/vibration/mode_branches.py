@@ -5,8 +5,6 @@ MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j)),   1 for the same shape, 0 f
                                                        orthogonal in W
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -6,8 +6,6 @@ axes, are conj(v_i) (M_b v)_i/(phi* M phi), with v the velocity of its center of
 angular velocity along phi.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

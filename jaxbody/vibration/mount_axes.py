@@ -1,8 +1,6 @@
 """Axes of a mounted body: the axis about which it turns under a torque, and the axes along which
 a force moves it without rotation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax.numpy as jnp

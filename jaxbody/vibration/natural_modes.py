@@ -10,8 +10,6 @@ summed over the modes of positive frequency. Source: A. K. Chopra, Dynamics of S
 (2012), 11.4.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from abc import abstractmethod
 from typing import Any

@@ -4,8 +4,6 @@ squares over a band.
 S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df,   H the frequency response from each input
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -13,8 +13,6 @@ v0' = 0 and these matrices are constant along it. With closures delta and nu are
 independent coordinates: q = q0 (+) N(q0) delta, v = N(q) (v0 + nu).
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -1,8 +1,6 @@
 """State space of small motions: x' = A x + B u, y = C x + D u between named ports, in
 the form of python-control and scipy.signal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax.numpy as jnp

@@ -1,8 +1,6 @@
 """Compliance of a wheel: how its angles and its position change under a force at the contact or at
 the center, on a suspension in equilibrium."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -1,8 +1,6 @@
 """Drivers: functions of models and arrays, each compiled as one program with options of XLA; inside
 another program they are a part of it."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

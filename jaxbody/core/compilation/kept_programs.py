@@ -1,7 +1,5 @@
 """Programs on disk: JAX's own cache of compiled code, in a folder that is the user's own."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

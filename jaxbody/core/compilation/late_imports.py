@@ -2,8 +2,6 @@
 takes three times as long as importing those that a simulation needs, and a model uses only one or
 two of the force laws."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Callable

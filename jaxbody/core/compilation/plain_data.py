@@ -4,8 +4,6 @@ Classes and functions are written by name. Only those of jaxbody and of the libr
 are known, because their source belongs to an installed version. Other values have no text: the
 error `Unnamed` describes them."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import importlib

@@ -1,8 +1,6 @@
 """A batch of independent rows in chunks: the size of a chunk, the workers that compute it, and its
 results, in memory or in a store."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import weakref

@@ -10,8 +10,6 @@ Chunks are written by the caller, several at a time if each has its own chunks: 
 by two of them, so that no locks are needed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import secrets

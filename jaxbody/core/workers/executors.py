@@ -5,8 +5,6 @@ A chunk that fails, by an error or with its worker, is sent again when no other 
 given up after three tries. If it were sent beside others, a chunk that ends every process that
 computes it would cause others, which are lost with these processes, to be given up too."""
 
-from __future__ import annotations
-
 import concurrent.futures as futures
 import functools
 import os

@@ -1,8 +1,6 @@
 """Bushings and mounts: the relative pose of two frames, six numbers, with stiffness and damping for
 three of them, as 6 x 6 matrices, or with a law for each."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

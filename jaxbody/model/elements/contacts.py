@@ -10,8 +10,6 @@ where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. T
 P + max(c_e delta_dot, -P) never pulls and has no jumps.
 """
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float, scalar

@@ -1,8 +1,6 @@
 """Checks of users' elements and laws when a model is built: the types of their fields and of the
 results of their functions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

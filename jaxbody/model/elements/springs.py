@@ -1,7 +1,5 @@
 """Springs, dampers and inerters along a line; elements with laws `spring` and `damper`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -1,7 +1,5 @@
 """Torsion springs at hinges and ball joints, and the anti-roll bar of an axle."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.core.arguments import warn_of_degrees

@@ -1,8 +1,6 @@
 """Energies and dissipations written by the user: functions V(frames) and R(frames) of the frames
 that they read by name."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, cast

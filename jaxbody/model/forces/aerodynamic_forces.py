@@ -1,7 +1,5 @@
 """Quasi-steady air loads on a wing section."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float

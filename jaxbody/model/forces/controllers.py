@@ -8,8 +8,6 @@ The commands of a sampled controller are held, and those computed at k T act at 
 its states are those that the next sample leaves as they are.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import replace
 from typing import Any, ClassVar

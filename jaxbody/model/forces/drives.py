@@ -8,8 +8,6 @@ controller and a constant one of their own.
 A positive force pushes the two points apart; e' is the rate of their distance.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Active magnetic bearings: an attraction that grows with displacement and current, and the circuit
 of the coil with a controller of the position."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float

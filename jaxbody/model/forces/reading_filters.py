@@ -6,8 +6,6 @@ by its Pade approximation of a stated order n.
     c_j = (2n - j)! n!/((2n)! j! (n - j)!)
 """
 
-from __future__ import annotations
-
 from math import factorial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Forces on rotors that feed their whirl: seals, internal damping, clearances of blades."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float

@@ -10,8 +10,6 @@ up to a cutoff frequency. The result is a C2 function of time, whose second deri
 samples is the corrected acceleration.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

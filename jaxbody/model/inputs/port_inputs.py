@@ -1,8 +1,6 @@
 """Inputs of small motions: the motion of a support along or about one axis, a force or moment on
 a body, the command of a drive."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -1,8 +1,6 @@
 """Functions through samples in time: checked rows, straight lines and cubic splines between them,
 integrals of piecewise linear functions, and where records have kinks or become active."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,8 +1,6 @@
 """An unknown imposed motion: a uniform cubic B-spline whose coefficients are identified in
 the fit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

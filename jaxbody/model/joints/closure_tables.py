@@ -1,8 +1,6 @@
 """The closures of a model in tables of frames and coordinates: their conditions c, the names of
 these, and the poses in which closures are drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

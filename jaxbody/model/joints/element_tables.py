@@ -1,8 +1,6 @@
 """The elements of a model in a table of frames: any function of each, the wrenches that act on the
 frames, and the states of elements."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """From coordinates to frames: where every frame of a model is and how it moves, as one table with
 rows world, supports, bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

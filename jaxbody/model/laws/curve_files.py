@@ -1,7 +1,5 @@
 """Measured curves from text files: two columns, in the units that the file states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

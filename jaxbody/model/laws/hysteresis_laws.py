@@ -1,8 +1,6 @@
 """Laws of hysteresis and of dry friction with presliding: their states move only while the
 deformation does."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import jax.numpy as jnp

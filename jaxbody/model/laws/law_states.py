@@ -1,8 +1,6 @@
 """Laws with memory in given states z, which elements evaluate like any other law: in a motion,
 in small motions about a state of rest, or at rest; and sums over the laws of an element."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any

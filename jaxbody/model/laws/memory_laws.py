@@ -8,8 +8,6 @@ coordinates with mass y   V(e, y), R(e', y'), T(y'):    the same F,
 states of first order     F(e, e', z),                  z' = f(e, e', z), zero at rest whatever z
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import ClassVar
 

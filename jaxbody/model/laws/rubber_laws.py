@@ -1,8 +1,6 @@
 """Laws of rubber: branches of a spring and a dashpot in series, any number of them in parallel with
 a spring."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 
 from jaxbody.geometry.fields import field, take

@@ -1,8 +1,6 @@
 """A planar four-bar linkage: crank, coupler and rocker on hinges, closed by a fourth one, with a
 torsion spring at the crank."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem

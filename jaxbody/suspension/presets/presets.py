@@ -5,8 +5,6 @@ Axes of the cars: x forward, y to the left, z up. Wheels and supports are `front
 `fl`, `fr`, `rl` and `rr`. The reference pose is the equilibrium.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Kalman filters of small motions: the states estimated from noisy sensors with the least variance,
 continuous or at samples, and output feedback by the estimate."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

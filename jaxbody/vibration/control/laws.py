@@ -6,8 +6,6 @@ u = c v_wheel   groundhook
 z' = A z + B (y - y0),  u = C z + D (y - y0)   linear feedback of readings y
 """
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 import numpy as np
 

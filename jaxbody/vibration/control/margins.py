@@ -10,8 +10,6 @@ refined by Newton's method, whose last steps carry the derivatives. Sampled loop
 frequency v with z = (1 + i v T/2)/(1 - i v T/2), so that w T/2 = atan(v T/2).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Linear-quadratic regulators of small motions: the feedback u = -K x of least mean y'Qy + u'Ru,
 continuous or held between samples."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

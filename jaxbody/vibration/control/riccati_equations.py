@@ -16,8 +16,6 @@ and its derivative is that of the linear equation
 Source: E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, Linear Algebra and its Applications 396 (2005) 55.
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np
