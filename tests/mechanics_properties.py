@@ -19,7 +19,7 @@ from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.element_states import holding
 from jaxbody.model.joints.element_tables import each_element, wrenches
 from jaxbody.model.joints.kinematics import Chart, Coordinates
-from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.model.models import scale_of, size_of
 
 POINTS, STEP, LINES = 128, 1e-5, 5  # of a loop, of differences, of a response
 TINY = 1e-300

@@ -15,8 +15,7 @@ from jaxbody.core.printed_tables import PrintedTable, Words, in_units, printed_u
 from jaxbody.core.tables import counted, number, without_dust
 from jaxbody.design.tuning_results import Tuning
 from jaxbody.fitting import fit_results, validations
-from jaxbody.geometry.descriptions import MATRICES, Described, text_of
-from jaxbody.geometry.fields import kind_of, units_of
+from jaxbody.geometry.fields import MATRICES, Described, kind_of, text_of, units_of
 from jaxbody.mechanics import equilibria, forces_at_rest, static_load_cases
 from jaxbody.model.models import Model
 from jaxbody.motion.trajectories import Trajectory

@@ -18,10 +18,9 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.design.design_programs import Evaluate, Quantities, variables_over
 from jaxbody.design.searches import MET
 from jaxbody.design.tuners import tune

@@ -17,9 +17,9 @@ import numpy as np
 
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
 from jaxbody.core.arrays import float_array
-from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
+from jaxbody.core.results import dataset
 from jaxbody.core.workers.batches import (
     batch_of,
     checked_chunks,

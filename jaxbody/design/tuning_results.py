@@ -17,9 +17,8 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, device_array, indices
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Status
-from jaxbody.core.results import Result
+from jaxbody.core.results import Labeled, Result, dataset
 from jaxbody.design.design_programs import (
     NamedLimits,
     Program,
@@ -31,8 +30,7 @@ from jaxbody.design.searches import ACTIVE, CONVERGED, MET, Multipliers, Search,
 from jaxbody.fitting.parameters.spaces import Space, model_of
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.mechanics.equilibria import equilibrium_of
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import Model, size_of
 from jaxbody.suspension.suspensions import Suspension
 
 OFFSETS = np.array([-2.0, -1.0, 1.0, 2.0])

@@ -22,9 +22,8 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, indices, is_concrete
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
-from jaxbody.core.results import Result
+from jaxbody.core.results import Labeled, Result, dataset
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.parameters.spaces import Space, arrays_of
 from jaxbody.fitting.parameters.transforms import Direction, Elementwise, Rotated

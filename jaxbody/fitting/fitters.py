@@ -57,7 +57,7 @@ from jaxbody.fitting.statistics.losses import check_loss
 from jaxbody.fitting.statistics.uncertainties import RANK, assess, decomposed
 from jaxbody.model.models import Model
 from jaxbody.model.preconditions import check_precision
-from jaxbody.motion.step_checks import check_steps
+from jaxbody.motion.integrations import check_steps
 from jaxbody.suspension.suspensions import Suspension
 
 # effect on the residuals up to which a parameter near a limit of its domain counts as at the limit,

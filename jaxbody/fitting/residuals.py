@@ -26,8 +26,7 @@ from jaxbody.fitting.experiments.measurements import Measurement, small_motions
 from jaxbody.fitting.parameters.spaces import Parameter, Space
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.fitting.statistics.losses import linearized, robust_level, root
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import options_of_motion, size_of
+from jaxbody.model.models import Model, options_of_motion, size_of
 from jaxbody.sensors.sensors import Channel
 from jaxbody.vibration.linearizations import Linearization
 

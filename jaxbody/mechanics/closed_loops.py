@@ -44,8 +44,7 @@ from jaxbody.model.joints.element_tables import (
     states_after_samples,
 )
 from jaxbody.model.joints.kinematics import Motions, frames_at_time, jacobian
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import SaddlePoint, saddle_point
 

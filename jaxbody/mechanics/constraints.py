@@ -27,8 +27,7 @@ from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.model.joints.closure_tables import gaps_at, gaps_from
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import Chart, Coordinates
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, size_of
+from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import in_float64
 

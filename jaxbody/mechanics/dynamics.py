@@ -51,8 +51,7 @@ from jaxbody.model.joints.element_tables import (
 from jaxbody.model.joints.joints import Free
 from jaxbody.model.joints.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.model.layouts import WORLD, Layout
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import Model, size_of
 from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.small_systems import solve_spd

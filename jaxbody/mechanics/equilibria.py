@@ -23,9 +23,8 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, is_concrete, tangent_or_nan
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import Problems, Status
-from jaxbody.core.results import Result, finished
+from jaxbody.core.results import AXES, Labeled, Result, dataset, finished
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import potential
 from jaxbody.mechanics.equilibrium_solvers import (
@@ -72,9 +71,8 @@ from jaxbody.model.joints.kinematics import Coordinates, body_poses
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.layouts import Layout
 from jaxbody.model.leaf_paths import of_elements
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, drawn_apart, size_of
 from jaxbody.model.preconditions import check_attached, check_memory, check_precision, check_state
-from jaxbody.model.sizes import drawn_apart, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import in_float64
 from jaxbody.numerics.small_systems import solve

@@ -30,8 +30,7 @@ from jaxbody.mechanics.load_paths import (
 )
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, scaled, size_of
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite

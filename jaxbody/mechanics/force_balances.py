@@ -57,8 +57,7 @@ from jaxbody.model.forces.controllers import sampled_names
 from jaxbody.model.joints.closure_tables import gaps_at
 from jaxbody.model.joints.element_tables import at_rest, force_rates
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, scaled, size_of
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.eigenproblems import first_order, rows_of_one_size
 from jaxbody.numerics.precisions import NEWTON, reachable

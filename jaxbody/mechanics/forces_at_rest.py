@@ -14,8 +14,8 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Bool, Float, is_concrete, rows_or_nan
-from jaxbody.core.datasets import rows_of
 from jaxbody.core.errors import Status
+from jaxbody.core.results import rows_of
 from jaxbody.mechanics.free_motions import (
     constraint_force,
     free_motions,
@@ -29,8 +29,7 @@ from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, turning_
 from jaxbody.model.joints.element_tables import total
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import springs_of
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import Model, size_of
 
 # smallest singular value of independent conditions, relative to the largest, that counts as zero
 SINGULAR = 1e-7

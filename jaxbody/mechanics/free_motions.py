@@ -20,8 +20,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values_and_slopes
 from jaxbody.model.joints.closure_tables import gaps_at, gaps_displaced
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, scaled, size_of
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 
 # a multiplier is unique if its diagonal element of 1 - J J^+ is below this
 UNIQUE = 1e-6

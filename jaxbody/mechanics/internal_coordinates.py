@@ -15,8 +15,15 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.mechanics.dynamics import on_coordinates
-from jaxbody.mechanics.element_derivatives import deformation_slopes
-from jaxbody.mechanics.hessians import Configuration, Square, damping, expansion, frame_twists, mass
+from jaxbody.mechanics.hessians import (
+    Configuration,
+    Square,
+    damping,
+    deformation_slopes,
+    expansion,
+    frame_twists,
+    mass,
+)
 from jaxbody.model.joints.element_tables import of_table
 from jaxbody.model.laws.law_states import Apart, memories
 

@@ -26,8 +26,7 @@ from jaxbody.model.elements.second_derivatives import turning
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.element_tables import Acting, at_rest, exerted, exerted_by_loads, total
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scaled
+from jaxbody.model.models import Model, scaled
 from jaxbody.numerics.precisions import NEWTON, reachable
 
 # steps of lambda: the first step, the smallest step, and the largest number of steps

@@ -12,8 +12,7 @@ from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
 from jaxbody.model.element_states import resisting
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import scale_of, scaled, size_of
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.eigenproblems import MASSLESS
 from jaxbody.numerics.precisions import reachable

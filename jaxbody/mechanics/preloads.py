@@ -31,9 +31,8 @@ from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.joints.closure_tables import drawn
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.preconditions import check_potential, check_precision, check_state
-from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import reachable
 

@@ -37,14 +37,13 @@ from jaxbody.model.joints.kinematics import (
     imposed,
     rest_poses,
 )
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, size_of
 from jaxbody.model.preconditions import (
     check_independent,
     check_potential,
     check_precision,
     check_state,
 )
-from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
 
 MAX_STEPS = 200

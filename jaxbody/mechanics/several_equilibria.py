@@ -26,14 +26,13 @@ from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiff
 from jaxbody.mechanics.load_paths import in_full
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.joints.kinematics import Coordinates
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.preconditions import (
     check_attached,
     check_memory,
     check_potential,
     check_precision,
 )
-from jaxbody.model.sizes import scale_of, scaled, size_of
 
 # difference of energy, relative to the range of energies, below which two solutions may be the same
 SAME = 1e-9

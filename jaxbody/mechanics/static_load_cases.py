@@ -11,9 +11,8 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import Problems, Status
-from jaxbody.core.results import Result, finished, without_derivatives
+from jaxbody.core.results import AXES, Labeled, Result, dataset, finished, without_derivatives
 from jaxbody.core.units import GRAVITY
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import product
@@ -34,7 +33,7 @@ from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.model.joints.element_tables import exerted_by_loads
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import of_elements
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.preconditions import (
     check_attached,
     check_memory,
@@ -42,7 +41,6 @@ from jaxbody.model.preconditions import (
     check_precision,
     check_state,
 )
-from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 
 MAX_STEPS = 200  # most steps of a search

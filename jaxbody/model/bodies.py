@@ -10,8 +10,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, nan_outside, take
+from jaxbody.geometry.fields import Described, field, nan_outside, take
 from jaxbody.geometry.points_and_orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps

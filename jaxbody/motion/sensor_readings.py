@@ -14,8 +14,7 @@ from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import options_of_motion
+from jaxbody.model.models import Model, options_of_motion
 from jaxbody.model.states import State
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels

@@ -37,13 +37,12 @@ from jaxbody.model.forces.controllers import check_continuous
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.inputs.motions import AtRest, Motion, as_motion, check_motion
 from jaxbody.model.joints.kinematics import Chart, Motions
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, size_of
 from jaxbody.model.preconditions import check_moves, check_precision, check_state, unattached
-from jaxbody.model.sizes import size_of
 from jaxbody.model.states import State
-from jaxbody.motion.integrations import integrate
-from jaxbody.motion.step_checks import (
+from jaxbody.motion.integrations import (
     check_steps,
+    integrate,
     most_steps,
     signals_of_run,
     warn_of_long_steps,

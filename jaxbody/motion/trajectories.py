@@ -12,9 +12,8 @@ from equinox import combine, field, is_array, partition
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of, rows_or_nan, time_text
 from jaxbody.core.compilation.compile_options import program_with
-from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
-from jaxbody.core.results import Result
+from jaxbody.core.results import AXES, QUATERNION, Labeled, Result, dataset, rows_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of, seen_by_forces
@@ -43,8 +42,7 @@ from jaxbody.model.joints.element_tables import (
 )
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.leaf_paths import by_name, of_elements
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import options_of_motion, size_of
+from jaxbody.model.models import Model, options_of_motion, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64

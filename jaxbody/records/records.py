@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxbody.core import tables, units
 from jaxbody.core.arrays import float_array, time_array, time_text
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.results import Labeled, dataset
 from jaxbody.records.sampling_checks import (
     EQUAL,
     Sampling,

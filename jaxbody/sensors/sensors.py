@@ -18,8 +18,7 @@ import numpy as np
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Float, Int, checked, concrete, module_of
 from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, in_domain, kind_of
+from jaxbody.geometry.fields import Described, field, in_domain, kind_of
 from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.vectors import to_rank

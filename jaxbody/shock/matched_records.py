@@ -17,10 +17,9 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, check_kind, positive_number
 from jaxbody.core.arrays import Array, Float, Int, device_array
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.progress_lines import working
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.model.inputs.motions import Sampled
 from jaxbody.model.inputs.samples import integrals
 from jaxbody.records.records import Record

@@ -13,9 +13,8 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of
 from jaxbody.core.arrays import Array, Complex, Float, Int, concrete, device_array, is_concrete
 from jaxbody.core.compilation.compile_options import WIDE, program_with
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
-from jaxbody.core.results import Result
+from jaxbody.core.results import Labeled, Result, dataset
 from jaxbody.model.inputs.pulses import Pulse
 from jaxbody.shock.oscillators import SIDES, checked_samples, free_peaks, peaks, poles
 from jaxbody.shock.response_spectra import (

@@ -12,9 +12,8 @@ import scipy.linalg
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, checked, is_concrete, rows_or_nan
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems, Status, check_known, unknown
-from jaxbody.core.results import Result, warn_if_failed, without_derivatives
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed, without_derivatives
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
 from jaxbody.mechanics.constraints import RANK, closure_gaps, values_and_slopes
@@ -23,9 +22,8 @@ from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.joints.element_tables import each_element
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.leaf_paths import springs_of
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.preconditions import check_potential, check_precision
-from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.suspension.assemblies import (
     Drive,
     RestingSystem,

@@ -54,9 +54,8 @@ from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.closure_tables import gaps, names_of_rows, redundant_rows
 from jaxbody.model.joints.element_tables import each_element, exerted, wrenches
 from jaxbody.model.joints.kinematics import Chart, Coordinates, jacobian
-from jaxbody.model.models import Model, drawn_reference
+from jaxbody.model.models import Model, drawn_reference, scale_of, size_of
 from jaxbody.model.preconditions import check_precision, check_state
-from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.small_systems import independent_rows
 from jaxbody.sensors.kinematic_sensors import Position

@@ -39,9 +39,8 @@ from equinox import field
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, module_of, rows_or_nan, tangent_or_nan
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import MESSAGES, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.lagrange import kinetic, potential
@@ -49,8 +48,8 @@ from jaxbody.mechanics.free_motions import speeds_on_closures
 from jaxbody.model.joints.element_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
+from jaxbody.model.models import scale_of, size_of
 from jaxbody.model.preconditions import check_potential, check_without_memory
-from jaxbody.model.sizes import scale_of, size_of
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.eigenproblems import ZERO
 from jaxbody.vibration.linearizations import Linearization, check_system

@@ -16,7 +16,7 @@ from jaxbody.geometry.vectors import cross
 from jaxbody.mechanics.equilibrium_solvers import SINGULAR
 from jaxbody.mechanics.force_balances import GROWS
 from jaxbody.mechanics.internal_coordinates import following
-from jaxbody.model.sizes import scaled
+from jaxbody.model.models import scaled
 from jaxbody.numerics.eigenproblems import (
     cholesky_of_mass,
     companion,

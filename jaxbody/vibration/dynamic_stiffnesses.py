@@ -23,9 +23,8 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, device_array, rows_or_nan, scalar
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.model.elements.bushings import DIRECTIONS, Mount
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.elements.springs import LawForces, Spring

@@ -28,12 +28,10 @@ from jaxbody.core.arrays import (
     is_concrete,
 )
 from jaxbody.core.compilation.compile_options import program, program_with
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known, unknown
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.geometry.vectors import rotate
-from jaxbody.mechanics.element_derivatives import element_derivatives
-from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.hessians import configuration_at, element_derivatives
 from jaxbody.model.inputs.loads import Unbalance
 from jaxbody.model.inputs.port_inputs import PointForce
 from jaxbody.model.joints.kinematics import Coordinates

@@ -24,14 +24,12 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, kind_of
 from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.mechanics.constraints import how_open
-from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
 from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
-from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.hessians import configuration_at, gravity_stiffness, split_stiffness
 from jaxbody.mechanics.internal_coordinates import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.load_paths import generalized_force, in_full, stiffness_of_loads
 from jaxbody.mechanics.null_motions import zero_modes
@@ -40,14 +38,13 @@ from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.element_tables import completed
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import by_name
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.preconditions import (
     check_memory,
     check_precision,
     check_small_motions,
     check_state,
 )
-from jaxbody.model.sizes import scale_of, scaled, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.vibration.mode_names import Basis, basis_of

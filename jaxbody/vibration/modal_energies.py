@@ -12,11 +12,9 @@ from equinox import field
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
-from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.element_derivatives import element_derivatives
-from jaxbody.mechanics.hessians import Configuration, configuration_at
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
+from jaxbody.mechanics.hessians import Configuration, configuration_at, element_derivatives
 from jaxbody.mechanics.internal_coordinates import inner_rows
 from jaxbody.model.joints.element_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates

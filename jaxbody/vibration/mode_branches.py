@@ -16,9 +16,8 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Inexact, Int, float_array, is_concrete
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.model.layouts import Layout
 from jaxbody.numerics.eigenproblems import together
 from jaxbody.vibration.damped_modes import ComplexModes, complex_modes

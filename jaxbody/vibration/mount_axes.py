@@ -11,9 +11,8 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
 from jaxbody.core.compilation.compile_options import program
-from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, check_known
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import AXES, Labeled, Result, dataset, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, skew
 from jaxbody.model.joints.joints import Free

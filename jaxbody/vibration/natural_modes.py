@@ -29,9 +29,8 @@ from jaxbody.core.arrays import (
     is_concrete,
 )
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program, program_with
-from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.mechanics.null_motions import massless_motions
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model

@@ -28,8 +28,14 @@ from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.lagrange import command_forces
 from jaxbody.mechanics.closed_loops import dynamics_of
-from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
-from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
+from jaxbody.mechanics.hessians import (
+    Configuration,
+    ElementDerivatives,
+    configuration_at,
+    element_derivatives,
+    frame_twists,
+    slope,
+)
 from jaxbody.model.element_states import apart, settled, with_commands
 from jaxbody.model.inputs.port_inputs import KINDS, BaseMotion, Command, Input, PointForce
 from jaxbody.model.joints.kinematics import Coordinates

@@ -28,13 +28,12 @@ from jaxbody.mechanics.dynamics import Dynamics
 from jaxbody.mechanics.free_motions import closure_stiffness, dependent_motions, speeds_on_closures
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, slope, stiffness
 from jaxbody.model.inputs.motions import AtRest
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.preconditions import (
     check_small_motions,
     check_state,
     check_without_memory,
 )
-from jaxbody.model.sizes import scale_of, scaled, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.precisions import reachable
 from jaxbody.vibration.linearizations import NEARLY_CLOSED, SINGULAR_CLOSURES, LinearSystem

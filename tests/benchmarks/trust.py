@@ -36,7 +36,7 @@ from jaxbody.fitting.parameters.spaces import units_of  # noqa: E402
 from jaxbody.lagrange import potential  # noqa: E402
 from jaxbody.model.joints.kinematics import Chart  # noqa: E402
 from jaxbody.model.leaf_paths import leaves_of  # noqa: E402
-from jaxbody.model.sizes import scale_of, size_of  # noqa: E402
+from jaxbody.model.models import scale_of, size_of  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 BATCH, STRUCTURES = 500, 52

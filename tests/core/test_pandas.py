@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.core.datasets import Labeled
+from jaxbody.core.results import Labeled
 
 pytest.importorskip("pandas")
 CAR = jb.presets.quarter_car(damping=1500.0)

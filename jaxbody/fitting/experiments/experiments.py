@@ -32,10 +32,9 @@ from jaxbody.model.inputs.signals import Signal
 from jaxbody.model.joints.kinematics import Motions
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
-from jaxbody.motion.integrations import integrate
+from jaxbody.motion.integrations import integrate, most_steps
 from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import check_covered, check_run, motions_of
-from jaxbody.motion.step_checks import most_steps
 from jaxbody.motion.trajectories import Trajectory
 from jaxbody.records.records import Record
 from jaxbody.records.sampling_checks import warn_of_rails

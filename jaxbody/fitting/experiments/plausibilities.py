@@ -21,9 +21,8 @@ from jaxbody.lagrange import potential_energy
 from jaxbody.mechanics.equilibria import equilibrium_of
 from jaxbody.model.forces.controllers import sampled_names
 from jaxbody.model.joints.kinematics import retract
-from jaxbody.model.models import Model
+from jaxbody.model.models import Model, drawn_apart, size_of
 from jaxbody.model.preconditions import check_precision, unattached
-from jaxbody.model.sizes import drawn_apart, size_of
 from jaxbody.model.states import State
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.suspension.suspensions import Suspension

@@ -24,8 +24,7 @@ from jaxbody.fitting.experiments.experiments import Experiment, Integration
 from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.statistics.autocorrelations import UNLIKELY, whiteness
 from jaxbody.mechanics.quasi_static_states import Rest
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import options_of_motion
+from jaxbody.model.models import Model, options_of_motion
 from jaxbody.model.states import State
 
 # rms of residuals relative to the variation of the record; noise of 30 % of the motion leaves 0.29

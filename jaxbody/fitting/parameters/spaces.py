@@ -42,8 +42,7 @@ from jaxbody.fitting.parameters.transforms import (
 from jaxbody.geometry import fields
 from jaxbody.geometry.fields import Kind
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import Model, size_of
 from jaxbody.suspension.suspensions import Suspension
 
 

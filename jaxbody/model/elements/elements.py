@@ -18,8 +18,7 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import Kind, field, in_domain, kind_of
+from jaxbody.geometry.fields import Described, Kind, field, in_domain, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, length_and_direction, product, rotate
 

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 from jaxbody.core.arguments import checked_dict, plain
 from jaxbody.core.arrays import Array, Float, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, take
+from jaxbody.geometry.fields import Described, field, take
 from jaxbody.model.forces.drives import CommandedForce, drive_tables
 from jaxbody.model.forces.force_elements import ForceElement, ForceInputs
 

@@ -20,8 +20,7 @@ import numpy as np
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.errors import JaxbodyError, Problems
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import Kind, field
+from jaxbody.geometry.fields import Described, Kind, field
 from jaxbody.geometry.frames import Frame, Wrench
 from jaxbody.geometry.vectors import cross, rotate, rotate_back
 from jaxbody.model.forces.reading_filters import filter_states, filtered

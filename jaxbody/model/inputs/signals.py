@@ -25,8 +25,7 @@ from jaxbody.core.arrays import (
     shaped,
 )
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, take
+from jaxbody.geometry.fields import Described, field, take
 from jaxbody.model.inputs.samples import (
     cell,
     checked_rows,

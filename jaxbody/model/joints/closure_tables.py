@@ -14,8 +14,7 @@ from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.model.element_states import end_rows
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
-from jaxbody.model.models import Model
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import Model, size_of
 from jaxbody.model.storage import KindTable
 from jaxbody.numerics.small_systems import independent_rows
 

@@ -16,8 +16,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import Described, field
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.points_and_orientations import direction
 from jaxbody.geometry.vectors import cross, product, rotate

@@ -22,8 +22,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import field, take
+from jaxbody.geometry.fields import Described, field, take
 
 Number = Float[Array, ""]
 POINTS = 20  # of the Gauss-Legendre quadrature of a force

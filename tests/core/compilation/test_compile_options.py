@@ -13,7 +13,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.core.compilation.compile_options import program, program_with
-from jaxbody.model import sizes
+from jaxbody.model import models
 
 pytestmark = pytest.mark.everywhere
 
@@ -143,7 +143,7 @@ def test_the_same_call_repeated_has_the_same_bits_and_compiles_nothing():
 )
 def test_long_motions_are_optimized(monkeypatch, times, long):
     for name in ("OPTIMIZED", "QUICK"):
-        monkeypatch.setattr(sizes, name, Options(name))
+        monkeypatch.setattr(models, name, Options(name))
     car = jb.presets.quarter_car()
     with pytest.raises(Seen, match="OPTIMIZED" if long else "QUICK"):
         jb.simulate(car, times, initial=car.reference)

@@ -9,7 +9,7 @@ import pytest
 from rigs import plate
 
 import jaxbody as jb
-from jaxbody.model.sizes import size_of
+from jaxbody.model.models import size_of
 
 TIMES = np.linspace(0, 4, 201)
 SENSORS = {
