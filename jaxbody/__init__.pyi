@@ -86,9 +86,9 @@ from jaxbody.model.leaf_paths import parameter_paths as parameter_paths
 from jaxbody.model.leaf_paths import replace as replace
 from jaxbody.model.models import Model as Model
 from jaxbody.model.states import State as State
-from jaxbody.motion.sensor_readings import measure as measure
 from jaxbody.motion.simulations import equations_of_motion as equations_of_motion
 from jaxbody.motion.simulations import simulate as simulate
+from jaxbody.motion.trajectories import measure as measure
 from jaxbody.numerics.adjoints import BlockAdjoint as BlockAdjoint
 from jaxbody.numerics.gauss_collocations import Gauss as Gauss
 from jaxbody.records import Record as Record

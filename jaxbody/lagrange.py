@@ -34,16 +34,17 @@ from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import axial, dot, rotate, rotate_back
 from jaxbody.model.element_states import apart, holding, with_commands
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import gaps_displaced, rank
-from jaxbody.model.joints.element_tables import (
+from jaxbody.model.joints.frame_tables import (
     Acting,
     completed,
     each_element,
     exerted,
     force_rates,
+    gaps_displaced,
     inertial_tables,
     of_table,
     power,
+    rank,
     reads_accelerations,
     state_rates,
 )

@@ -17,7 +17,7 @@ import jaxbody as jb
 from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.element_states import holding
-from jaxbody.model.joints.element_tables import each_element, wrenches
+from jaxbody.model.joints.frame_tables import each_element, wrenches
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.models import scale_of, size_of
 

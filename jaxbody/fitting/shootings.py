@@ -35,13 +35,12 @@ from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import fit
 from jaxbody.fitting.residuals import first_noise
 from jaxbody.mechanics.quasi_static_states import Rest
-from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.frame_tables import completed
 from jaxbody.model.joints.kinematics import frames_at_time
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
-from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import motions_of
-from jaxbody.motion.trajectories import Trajectory
+from jaxbody.motion.trajectories import Trajectory, readings
 
 MAX_EVALUATIONS = 50  # for the initial state of a segment
 # standard deviations of gaps between segments, relative to the variation of the state over

@@ -35,10 +35,14 @@ from jaxbody.mechanics.dynamics import Dynamics, FreeBodies, JointedBodies, all_
 from jaxbody.mechanics.free_motions import FreeMotions
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import drawn, each_closure, gaps_from, moving_slides, rank
-from jaxbody.model.joints.element_tables import (
+from jaxbody.model.joints.frame_tables import (
     completed,
+    drawn,
+    each_closure,
+    gaps_from,
     inertial_tables,
+    moving_slides,
+    rank,
     reads_accelerations,
     state_rates,
     states_after_samples,

@@ -24,8 +24,7 @@ from jaxbody.core.arrays import Array, Bool, Float, is_concrete, nan_unless
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.core.errors import warn
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.model.joints.closure_tables import gaps_at, gaps_from
-from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.frame_tables import completed, gaps_at, gaps_from
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.models import Model, scale_of, size_of
 from jaxbody.model.states import State

@@ -35,7 +35,7 @@ from jaxbody.lagrange import kinetic
 from jaxbody.model.element_states import apart, holding, rest_states
 from jaxbody.model.elements.elements import Element
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.element_tables import (
+from jaxbody.model.joints.frame_tables import (
     each_element,
     end_rows,
     exerted,

@@ -65,8 +65,13 @@ from jaxbody.mechanics.load_paths import (
 from jaxbody.mechanics.null_motions import resisting_stiffness, zero_modes
 from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load, loads_of
-from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, redundant_rows
-from jaxbody.model.joints.element_tables import each_element, outside_law_range
+from jaxbody.model.joints.frame_tables import (
+    each_element,
+    gaps_at,
+    names_of_rows,
+    outside_law_range,
+    redundant_rows,
+)
 from jaxbody.model.joints.kinematics import Coordinates, body_poses
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.layouts import Layout

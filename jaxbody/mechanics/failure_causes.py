@@ -13,12 +13,13 @@ from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of, seen_by_for
 from jaxbody.model.element_states import holding, relaxed
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import names_of_rows, rank
-from jaxbody.model.joints.element_tables import (
+from jaxbody.model.joints.frame_tables import (
     at_rest,
     each_element,
     each_force,
     exerted_by_loads,
+    names_of_rows,
+    rank,
 )
 from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.model.models import Model

@@ -54,8 +54,7 @@ from jaxbody.model.element_states import (
     with_force_states,
 )
 from jaxbody.model.forces.controllers import sampled_names
-from jaxbody.model.joints.closure_tables import gaps_at
-from jaxbody.model.joints.element_tables import at_rest, force_rates
+from jaxbody.model.joints.frame_tables import at_rest, force_rates, gaps_at
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.states import State

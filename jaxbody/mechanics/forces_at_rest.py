@@ -25,8 +25,7 @@ from jaxbody.mechanics.free_motions import (
 from jaxbody.mechanics.hessians import Configuration, frame_twists, slope
 from jaxbody.mechanics.load_paths import AppliedLoads, acting_at_rest, with_load_gravity
 from jaxbody.model.elements.torsions import Torsion
-from jaxbody.model.joints.closure_tables import gaps_at, names_of_rows, turning_rows
-from jaxbody.model.joints.element_tables import total
+from jaxbody.model.joints.frame_tables import gaps_at, names_of_rows, total, turning_rows
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model, size_of

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed, how_open, values_and_slopes
-from jaxbody.model.joints.closure_tables import gaps_at, gaps_displaced
+from jaxbody.model.joints.frame_tables import gaps_at, gaps_displaced
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model, scale_of, scaled, size_of
 

@@ -46,7 +46,7 @@ from jaxbody.model.elements.second_derivatives import (
     turning,
 )
 from jaxbody.model.elements.user_energies import OfFrames
-from jaxbody.model.joints.element_tables import completed, each_element, inertial_tables, wrenches
+from jaxbody.model.joints.frame_tables import completed, each_element, inertial_tables, wrenches
 from jaxbody.model.joints.kinematics import Coordinates, frames_displaced, jacobian
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model

@@ -24,7 +24,7 @@ from jaxbody.mechanics.hessians import (
     frame_twists,
     mass,
 )
-from jaxbody.model.joints.element_tables import of_table
+from jaxbody.model.joints.frame_tables import of_table
 from jaxbody.model.laws.law_states import Apart, memories
 
 

@@ -24,7 +24,7 @@ from jaxbody.mechanics.free_motions import moved, on_closures
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.model.elements.second_derivatives import turning
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.element_tables import Acting, at_rest, exerted, exerted_by_loads, total
+from jaxbody.model.joints.frame_tables import Acting, at_rest, exerted, exerted_by_loads, total
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model, scaled
 from jaxbody.numerics.precisions import NEWTON, reachable

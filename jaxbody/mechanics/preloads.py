@@ -28,7 +28,7 @@ from jaxbody.mechanics.constraints import CLOSED, closed_on, how_open
 from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.model.element_states import relaxed, rest_states
-from jaxbody.model.joints.closure_tables import drawn
+from jaxbody.model.joints.frame_tables import drawn
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.model.models import Model, scale_of, size_of

@@ -27,8 +27,7 @@ from jaxbody.mechanics.force_balances import change_of_balance, from_start
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import in_full, tangent
 from jaxbody.model.element_states import holding, relaxed
-from jaxbody.model.joints.closure_tables import drawn, gaps_from
-from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.frame_tables import completed, drawn, gaps_from
 from jaxbody.model.joints.kinematics import (
     Coordinates,
     Motions,

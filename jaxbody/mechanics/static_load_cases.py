@@ -30,7 +30,7 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.load_paths import AppliedLoads, alike, residual, summed
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.inputs.loads import Load, loads_by_name, loads_of
-from jaxbody.model.joints.element_tables import exerted_by_loads
+from jaxbody.model.joints.frame_tables import exerted_by_loads
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import of_elements
 from jaxbody.model.models import Model, scale_of, size_of

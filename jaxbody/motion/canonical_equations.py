@@ -20,7 +20,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.lagrange import kinetic
 from jaxbody.mechanics.dynamics import Dynamics
-from jaxbody.model.joints.element_tables import exerted, wrenches
+from jaxbody.model.joints.frame_tables import exerted, wrenches
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 

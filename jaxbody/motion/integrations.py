@@ -23,7 +23,7 @@ from jaxbody.model.element_states import between_samples
 from jaxbody.model.forces.controllers import check_continuous, next_sample, sampled_names
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.inputs.signals import kinks_of
-from jaxbody.model.joints.element_tables import completed, outside_law_range
+from jaxbody.model.joints.frame_tables import completed, outside_law_range
 from jaxbody.model.joints.kinematics import Motions, frames_at_time
 from jaxbody.model.laws.tabulated_laws import has_range
 from jaxbody.model.models import Model, options_of_motion

@@ -9,7 +9,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.errors import Problems
 from jaxbody.model.forces.controllers import followed_at_once
 from jaxbody.model.inputs.port_inputs import unknown_drive
-from jaxbody.model.joints.element_tables import commands, ends_at, reads_accelerations
+from jaxbody.model.joints.frame_tables import commands, ends_at, reads_accelerations
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

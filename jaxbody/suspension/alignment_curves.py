@@ -19,7 +19,7 @@ from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
 from jaxbody.mechanics.constraints import RANK, closure_gaps, values_and_slopes
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.inputs.loads import Load, loads_of
-from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.frame_tables import each_element
 from jaxbody.model.joints.kinematics import Chart, Coordinates
 from jaxbody.model.leaf_paths import springs_of
 from jaxbody.model.models import Model, scale_of, size_of

@@ -51,8 +51,14 @@ from jaxbody.mechanics.constraints import (
 from jaxbody.mechanics.dynamics import generalized
 from jaxbody.model.element_states import relaxed
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.closure_tables import gaps, names_of_rows, redundant_rows
-from jaxbody.model.joints.element_tables import each_element, exerted, wrenches
+from jaxbody.model.joints.frame_tables import (
+    each_element,
+    exerted,
+    gaps,
+    names_of_rows,
+    redundant_rows,
+    wrenches,
+)
 from jaxbody.model.joints.kinematics import Chart, Coordinates, jacobian
 from jaxbody.model.models import Model, drawn_reference, scale_of, size_of
 from jaxbody.model.preconditions import check_precision, check_state

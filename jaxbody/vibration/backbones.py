@@ -45,7 +45,7 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.lagrange import kinetic, potential
 from jaxbody.mechanics.free_motions import speeds_on_closures
-from jaxbody.model.joints.element_tables import inertial_tables, of_table
+from jaxbody.model.joints.frame_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import scale_of, size_of

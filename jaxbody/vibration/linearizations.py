@@ -35,7 +35,7 @@ from jaxbody.mechanics.load_paths import generalized_force, in_full, stiffness_o
 from jaxbody.mechanics.null_motions import zero_modes
 from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.loads import Load
-from jaxbody.model.joints.element_tables import completed
+from jaxbody.model.joints.frame_tables import completed
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.leaf_paths import by_name
 from jaxbody.model.models import Model, scale_of, scaled, size_of

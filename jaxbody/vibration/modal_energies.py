@@ -16,7 +16,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.mechanics.hessians import Configuration, configuration_at, element_derivatives
 from jaxbody.mechanics.internal_coordinates import inner_rows
-from jaxbody.model.joints.element_tables import inertial_tables, of_table
+from jaxbody.model.joints.frame_tables import inertial_tables, of_table
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.model.models import Model
 from jaxbody.numerics.eigenproblems import ZERO, averaged, natural, refused_in_clusters

@@ -7,7 +7,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 from jaxbody.suspension.presets import presets
 
 exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbody[judges]'")

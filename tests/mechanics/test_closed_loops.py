@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 
 G = 9.81
 # of the parallelogram: its cranks are drawn hanging, with pins OFFSET to the right of their hinges

@@ -12,7 +12,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.model.joints.element_tables import each_element, frames_of
+from jaxbody.model.joints.frame_tables import each_element, frames_of
 from jaxbody.model.joints.kinematics import Coordinates
 
 SPRINGS = ("AB", "CD", "EF")

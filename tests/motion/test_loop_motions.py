@@ -13,7 +13,7 @@ import jaxbody as jb
 from jaxbody.mechanics.closed_loops import ClosedLoops
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.quasi_static_states import rest_state
-from jaxbody.model.joints.closure_tables import gaps
+from jaxbody.model.joints.frame_tables import gaps
 from jaxbody.model.joints.joints import Joint
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.motion.simulations import motions_of

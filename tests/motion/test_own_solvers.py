@@ -9,7 +9,7 @@ import pytest
 import rigs
 
 import jaxbody as jb
-from jaxbody.model.joints.closure_tables import gaps_at
+from jaxbody.model.joints.frame_tables import gaps_at
 from jaxbody.model.joints.kinematics import Coordinates
 
 MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.fitting.parameters.spaces import space_of
-from jaxbody.motion.sensor_readings import read, readings
-from jaxbody.motion.trajectories import Trajectory
+from jaxbody.motion.trajectories import Trajectory, read, readings
 from jaxbody.sensors import sensors
 from jaxbody.sensors.sensors import check_sensors
 

@@ -12,7 +12,7 @@ import rigs
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.forces.force_elements import ForceInputs
-from jaxbody.motion.sensor_readings import read
+from jaxbody.motion.trajectories import read
 
 G = 9.81
 RANDOM = np.random.default_rng(19)

@@ -12,7 +12,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.motion.sensor_readings import read
+from jaxbody.motion.trajectories import read
 
 RANDOM = np.random.default_rng(11)
 AXIS, AT = np.array([0.6, 0.0, 0.8]), np.array([0.1, 0.2, -0.1])

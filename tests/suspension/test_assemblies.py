@@ -13,7 +13,7 @@ import jaxbody as jb
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.constraints import closed_on
-from jaxbody.model.joints.closure_tables import drawn, gaps
+from jaxbody.model.joints.frame_tables import drawn, gaps
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.suspension.assemblies import drives_of, position, positions
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 
 G = 9.81
 RADIUS, ROD, ANGLE = 0.1, 0.35, 0.9

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxbody as jb
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 
 # stiffnesses along y and of an inclined spring; its free length; its height at rest
 SIDE, SPRING, LENGTH, OVER = 4e4, 3e4, 0.5, 0.6

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 from jaxbody.suspension.suspensions import DOUBLE_WISHBONE, FIVE_LINK, MACPHERSON, SOLID_AXLE
 
 TRAVEL = np.linspace(-0.1, 0.1, 11)

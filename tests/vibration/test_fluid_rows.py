@@ -11,7 +11,7 @@ import jaxbody as jb
 from jaxbody.lagrange import kinetic, potential, rayleigh
 from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.model.element_states import apart
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 from jaxbody.numerics.eigenproblems import first_order
 
 KR, CR, KM, M_F, CM = 512950.0, 198.0, 436950.0, 62.8, 2666.0  # REFERENCES2 1.3

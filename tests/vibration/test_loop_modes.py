@@ -9,8 +9,7 @@ from scipy.optimize import brentq
 
 import jaxbody as jb
 from jaxbody.lagrange import kinetic, potential
-from jaxbody.model.joints.closure_tables import gaps
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of, gaps
 from jaxbody.model.joints.kinematics import Coordinates
 
 G = 9.81

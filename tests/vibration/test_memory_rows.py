@@ -11,7 +11,7 @@ import jaxbody as jb
 from jaxbody.lagrange import rayleigh
 from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.model.element_states import apart, holding
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 from jaxbody.numerics.eigenproblems import first_order
 
 K0, K1, TAU, MASS = 2e4, 6e4, 0.01, 50.0

@@ -11,7 +11,7 @@ import scipy.linalg
 from rigs import POWERTRAIN_ENERGIES, max_difference
 
 import jaxbody as jb
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.suspension.presets import presets
 

@@ -39,8 +39,8 @@ from jaxbody.fitting.statistics.autocorrelations import (
     whiteness,
 )
 from jaxbody.model.models import Model
-from jaxbody.motion.sensor_readings import measure
 from jaxbody.motion.simulations import simulate
+from jaxbody.motion.trajectories import measure
 from jaxbody.sensors.instruments import Accelerometer
 from jaxbody.sensors.sensors import Sensor
 

@@ -33,9 +33,8 @@ from jaxbody.model.joints.kinematics import Motions
 from jaxbody.model.models import Model
 from jaxbody.model.states import State
 from jaxbody.motion.integrations import integrate, most_steps
-from jaxbody.motion.sensor_readings import readings
 from jaxbody.motion.simulations import check_covered, check_run, motions_of
-from jaxbody.motion.trajectories import Trajectory
+from jaxbody.motion.trajectories import Trajectory, readings
 from jaxbody.records.records import Record
 from jaxbody.records.sampling_checks import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels

@@ -17,7 +17,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.model.forces.force_elements import scaled_reading
 from jaxbody.model.inputs.port_inputs import Input
-from jaxbody.model.joints.element_tables import at_rest
+from jaxbody.model.joints.frame_tables import at_rest
 from jaxbody.model.joints.kinematics import Coordinates
 from jaxbody.numerics.eigenproblems import poles
 from jaxbody.vibration.control.laws import LinearFeedback, state_feedback

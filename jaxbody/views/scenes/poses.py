@@ -23,7 +23,7 @@ from jaxbody.model.elements.contacts import Tyre
 from jaxbody.model.elements.elements import LineElement
 from jaxbody.model.forces.drives import CommandedForce, drive_tables
 from jaxbody.model.inputs.roads import Road
-from jaxbody.model.joints.element_tables import each_element
+from jaxbody.model.joints.frame_tables import each_element
 from jaxbody.model.joints.kinematics import Coordinates, frames_at_time
 from jaxbody.model.layouts import Layout
 from jaxbody.model.leaf_paths import of_elements

@@ -15,7 +15,7 @@ from jaxbody.geometry import rotations, vectors
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.model.elements.second_derivatives import second_order
-from jaxbody.model.joints.element_tables import frames_of, wrenches
+from jaxbody.model.joints.frame_tables import frames_of, wrenches
 
 RNG = np.random.default_rng(42)
 N = 200

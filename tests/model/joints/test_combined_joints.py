@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import acceleration
-from jaxbody.model.joints.element_tables import frames_of
+from jaxbody.model.joints.frame_tables import frames_of
 
 G = 9.81
 jit_once = jb.jit  # compiling is the cost
