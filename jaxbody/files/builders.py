@@ -9,7 +9,6 @@ import inspect
 import json
 import re
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,7 +53,7 @@ PLACE = re.compile(rf"({'|'.join(SECTIONS)})\['(.*?)'\]|(gravity)")
 
 
 @dataclasses.dataclass
-class EntryBuilder(ABC):
+class EntryBuilder:
     """Base class of builders of one entry of a study, from its `values` and its `path` in the
     document; problems are collected by `builder`, the builder of the document."""
 
@@ -84,11 +83,6 @@ class EntryBuilder(ABC):
         """Add a problem of the entry; `parts` are the keys below the path of the entry."""
         where = self.builder.document.where((*self.path, *parts))
         self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
-
-    @abstractmethod
-    def build(self) -> Any:
-        """Build the object that the entry states, or the arguments of a function; problems are
-        collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
         """Add a problem for each of the `names` that is not among the `known` ones; `parts` are the

@@ -35,7 +35,12 @@ from jaxbody.mechanics.equilibrium_solvers import (
     search_by_descent,
     search_under_loads,
 )
-from jaxbody.mechanics.failure_causes import nonfinite_downhill, nonfinite_forces
+from jaxbody.mechanics.failure_causes import (
+    nonfinite_downhill,
+    nonfinite_forces,
+    resisting_stiffness,
+    zero_modes,
+)
 from jaxbody.mechanics.force_balances import (
     change_of_balance,
     holding_forces,
@@ -62,7 +67,6 @@ from jaxbody.mechanics.load_paths import (
     with_gravity,
     with_load_gravity,
 )
-from jaxbody.mechanics.null_motions import resisting_stiffness, zero_modes
 from jaxbody.model.element_states import relaxed, rest_states
 from jaxbody.model.inputs.loads import Load, loads_of
 from jaxbody.model.joints.frame_tables import (

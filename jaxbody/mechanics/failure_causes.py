@@ -1,5 +1,6 @@
 """Causes of failed motions and equilibria, with the names of parts: numbers that are not finite,
-elements turned too far, springs of zero length."""
+elements turned too far, springs of zero length; motions that a stiffness or mass matrix does not
+resist."""
 
 from typing import Any
 
@@ -10,7 +11,10 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float, time_text
 from jaxbody.core.compilation.compile_options import program
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of, seen_by_forces
-from jaxbody.model.element_states import holding, relaxed
+from jaxbody.mechanics.equilibrium_solvers import SINGULAR
+from jaxbody.mechanics.free_motions import on_closures
+from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
+from jaxbody.model.element_states import holding, relaxed, resisting
 from jaxbody.model.elements.second_derivatives import second_order
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.frame_tables import (
@@ -22,9 +26,12 @@ from jaxbody.model.joints.frame_tables import (
     rank,
 )
 from jaxbody.model.joints.kinematics import Coordinates, Motions, frames_at_time
-from jaxbody.model.models import Model
+from jaxbody.model.layouts import Layout
+from jaxbody.model.models import Model, scale_of, scaled, size_of
 from jaxbody.model.states import State
 from jaxbody.model.storage import KindTable
+from jaxbody.numerics.eigenproblems import MASSLESS
+from jaxbody.numerics.precisions import reachable
 
 # times after a state at which it is checked, relative to the time since the first sample or, if
 # that is shorter, to a second
@@ -326,3 +333,63 @@ def _zero_crossings(
     first = np.argmax(passes, 0)
     t = times[first] + np.take_along_axis(u[..., 0], first[None], 0)[0] * np.diff(times)[first]
     return np.where(passes.any(0), t, np.nan)
+
+
+@program
+def resisting_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
+    """Return the scaled K with the tangents of hysteresis, along the closures if there are any."""
+    coordinates = Coordinates(resisting(model, state.z))
+    at, scale = configuration_at(coordinates, state.q, base=False), scale_of(model, size_of(model))
+    return on_closures(
+        coordinates, state.q, slope(at) * scale, scaled(stiffness(at), scale), scale
+    )[1]
+
+
+def zero_modes(model: Model, state: State) -> list[str]:
+    """Return the motions that K does not resist at a state, as text: "'plate' free to turn about
+    z". Motions of single coordinates come first."""
+    K = np.asarray(resisting_stiffness(model, state))
+    return describe_null_motions(model.layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
+
+
+def massless_motions(
+    layout: Layout, M: Any, independent: tuple[int, ...] | None = None
+) -> list[str]:
+    """Return the motions that a mass matrix does not resist, as text; `independent`: the
+    coordinates of the matrix, by default all."""
+    M = np.asarray(M)
+    size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
+    motions = (
+        layout.motions if independent is None else tuple(layout.motions[i] for i in independent)
+    )
+    motions += tuple(
+        (owner, f"move {state}")
+        for owner, _, state in (
+            name.partition(", ") for name in layout.inner[: len(M) - len(motions)]
+        )
+    )
+    return describe_null_motions(motions, M / size / size[:, None], MASSLESS, "has no inertia to")
+
+
+def describe_null_motions(
+    motions: tuple[tuple[str, str], ...], matrix: np.ndarray, tolerance: float, what: str
+) -> list[str]:
+    """Return texts on the motions whose eigenvalues are zero relative to the largest, each with
+    `what` between body and motion. Motions of single coordinates come first."""
+    values, vectors = np.linalg.eigh(matrix)
+    null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
+    texts, rest = [], null
+    for i, (body, motion) in enumerate(motions):
+        unit = np.eye(len(motions))[i]
+        if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
+            texts.append(f"'{body}' {what} {motion}")
+            rest = rest - np.outer(unit, unit @ rest)
+    u, s, _ = np.linalg.svd(rest, full_matrices=False)
+    for vector in u.T[s > 1e-3]:
+        largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
+        parts = [
+            f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{motions[i][0]}' {motions[i][1]})"
+            for i in largest
+        ]
+        texts.append(f"{what} move together: " + " ".join(parts))
+    return texts

@@ -36,12 +36,12 @@ from jaxbody.mechanics.failure_causes import (
     force_jump_at,
     force_jump_messages,
     force_jumps_along,
+    massless_motions,
     nonfinite_ahead,
     singular_closure,
 )
 from jaxbody.mechanics.forces_at_rest import by_closure, labeled_elements
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.null_motions import massless_motions
 from jaxbody.model.element_states import holding
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.frame_tables import (

@@ -1,16 +1,13 @@
 """Sensors of drives: the command that an actuator or controlled damper gets, and its force."""
 
-from typing import Unpack
-
 import equinox as eqx
 import jax.numpy as jnp
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.errors import Problems
 from jaxbody.model.forces.controllers import followed_at_once
 from jaxbody.model.inputs.port_inputs import unknown_drive
 from jaxbody.model.joints.frame_tables import commands, ends_at, reads_accelerations
-from jaxbody.sensors.sensors import Chain, Sensor
+from jaxbody.sensors.sensors import Sensor
 
 
 class DriveSensor(Sensor):
@@ -18,11 +15,6 @@ class DriveSensor(Sensor):
 
     on: str = eqx.field(static=True, converter=plain)
     shape, unit = (), "N"
-
-    def __init__(self, on: str, **chain: Unpack[Chain]):
-        with Problems() as problems:
-            self.on = on
-            self.chained(problems, **chain)
 
     @property
     def names(self):

@@ -17,12 +17,11 @@ Source: T. Dirlik, Application of computers in fatigue analysis, thesis, Univers
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.special
 import numpy as np
-from equinox import field
+from equinox import Module, field
 
 from jaxbody.core import tables, units
 from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
@@ -37,7 +36,7 @@ from jaxbody.vibration.random_responses import RandomResponse
 RANGES = {"range": 1.0, "amplitude": 2.0}  # ratio of a range to the level that a curve states
 
 
-class SNCurve(eqx.Module):
+class SNCurve(Module):
     """An S-N curve: N(S) = cycles (level/S)^exponent cycles of the range S until failure.
 
     Args:

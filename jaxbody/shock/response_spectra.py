@@ -5,10 +5,9 @@ points or by the parameters of Eurocode 8 or ASCE 7."""
 from abc import abstractmethod
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
+from equinox import Module, field
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, positive_number
@@ -19,7 +18,7 @@ from jaxbody.core.units import GRAVITY
 ROUNDING = 1e-9  # relative, of frequencies at the ends of a spectrum's range
 
 
-class ResponseSpectrum(tables.Printed, eqx.Module):
+class ResponseSpectrum(tables.Printed, Module):
     """The base class of response spectra: `spectrum(frequencies, damping)` is the
     pseudo-acceleration w^2 max|x| [m/s2] at frequencies [Hz] and damping ratios, of oscillators x''
     + 2 zeta w x' + w^2 x = -a. A subclass defines `__call__` and `covers`.

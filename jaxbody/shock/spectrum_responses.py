@@ -35,11 +35,10 @@ E. L. Wilson, A. Der Kiureghian, E. P. Bayo, same volume, 187.
 import dataclasses
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
+from equinox import Module, field
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_one_of, checked_dict, positive_number
@@ -80,7 +79,7 @@ class Excitation(NamedTuple):
         return f"{' and '.join(map(str, self.supports))} {self.direction}"
 
 
-class ModalExcitation(eqx.Module):
+class ModalExcitation(Module):
     """Modes with their `participation` (excitations, modes) and effective `mass` [kg; kg m2 about
     an axis]; `readings` (3, outputs, modes) of outputs per unit of each mode's x, x' and x'' + a;
     `rest` (outputs, excitations) per unit of the base acceleration."""

@@ -28,11 +28,11 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.equilibria import NOT_AT_REST, Equilibrium
+from jaxbody.mechanics.failure_causes import zero_modes
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
 from jaxbody.mechanics.hessians import configuration_at, gravity_stiffness, split_stiffness
 from jaxbody.mechanics.internal_coordinates import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.load_paths import generalized_force, in_full, stiffness_of_loads
-from jaxbody.mechanics.null_motions import zero_modes
 from jaxbody.model.element_states import apart, settled
 from jaxbody.model.inputs.loads import Load
 from jaxbody.model.joints.frame_tables import completed

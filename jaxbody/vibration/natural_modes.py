@@ -31,7 +31,7 @@ from jaxbody.core.arrays import (
 from jaxbody.core.compilation.compile_options import OPTIMIZED, program, program_with
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
-from jaxbody.mechanics.null_motions import massless_motions
+from jaxbody.mechanics.failure_causes import massless_motions
 from jaxbody.model.layouts import Layout
 from jaxbody.model.models import Model
 from jaxbody.numerics.eigenproblems import (
