@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ PLACE = re.compile(rf"({'|'.join(SECTIONS)})\['(.*?)'\]|(gravity)")
 
 
 @dataclasses.dataclass
-class EntryBuilder:
+class EntryBuilder(ABC):
     """Base class of builders of one entry of a study, from its `values` and its `path` in the
     document; problems are collected by `builder`, the builder of the document."""
 
@@ -83,6 +84,11 @@ class EntryBuilder:
         """Add a problem of the entry; `parts` are the keys below the path of the entry."""
         where = self.builder.document.where((*self.path, *parts))
         self.builder.problems.add(code, where, message, value=value, limit=limit, hint=hint)
+
+    @abstractmethod
+    def build(self) -> Any:
+        """Build the object that the entry states, or the arguments of a function; problems are
+        collected."""
 
     def check_known(self, names: Iterable[str], known: Collection[str], *parts: str) -> None:
         """Add a problem for each of the `names` that is not among the `known` ones; `parts` are the

@@ -95,8 +95,7 @@ NOT_AT_REST = (  # no linearization about such a state
     Status.SINGULAR_CLOSURE,
     Status.NONFINITE_FORCE,
 )
-# displacement, in sizes of the model, and rotation [rad] from its drawn pose above which a body is
-# reported as far from it
+# a body is far from its drawn pose above this displacement [sizes of the model] or rotation [rad]
 FAR, TURNED = 0.3, np.deg2rad(30)
 DESCENDED = (
     "by descent of the potential of the loads, which cannot be raised step by step because K is "
