@@ -1,7 +1,6 @@
 """First and second derivatives of V, T and R in structured form, in closed form for line elements;
-they equal those by jax.hessian. Derivatives of the
-elements at a state, for all linearizations: of their deformations in (Delta, Xi), and of their
-energies in these.
+they equal those by jax.hessian. Those of elements at a state, for all linearizations, are of their
+deformations in (Delta, Xi), and of their energies in these.
 
 With delta_f = (displacement of its origin, rotation vector), in world axes, of every frame f
 that moves, J = d delta/d(Delta, Xi), and G and H the gradient and the Hessian of V in the delta
