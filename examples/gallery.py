@@ -417,7 +417,7 @@ PICTURES = {
     "modes": lambda: modes_of_car().plot(),
     "mode": lambda: plots.draw_mode(small_motions(), modes_of_car(), 2),
     "poles": lambda: jb.complex_modes(small_motions()).plot(),
-    "mode_energies": lambda: jb.mode_energies(small_motions(), forward="x").plot(),
+    "mode_energies": lambda: jb.vibration.mode_energies(small_motions(), forward="x").plot(),
     "branches": lambda: branches().plot(parameter="front stiffness [N/m]"),
     "backbones": lambda: jb.vibration.backbone_curves(
         jb.linearize(jb.presets.double_pendulum(), jb.presets.double_pendulum().reference)
@@ -464,7 +464,7 @@ PICTURES = {
     "bands": bands,
     "validation": lambda: validation().plot(),
     "multistart": lambda: multistart().plot(),
-    "profile": lambda: jb.profile_likelihood(fitted(), "spring.damping").plot(),
+    "profile": lambda: jb.fitting.profile_likelihood(fitted(), "spring.damping").plot(),
     "tuning": lambda: jb.tune(
         quarter(),
         ride,

@@ -36,7 +36,7 @@ table = jb.presets.isolated_table(
 )
 # the table of Harris, Shock and Vibration Handbook, chapter 3, with dampers
 lin = jb.linearize(table, table.reference)
-print(jb.mode_energies(lin))
+print(jb.vibration.mode_energies(lin))
 
 # %% [markdown]
 # The instrument stands 0.3 m above the middle of the table. Up and down it moves as the formula

@@ -26,7 +26,7 @@ crankshaft = [1.0, 0.0, 0.0]
 # x along the crankshaft, y across, z up; published stiffnesses
 engine = jb.presets.engine_on_mounts(damping=np.zeros((3, 3)))
 lin = jb.linearize(engine, engine.reference)
-energies = jb.mode_energies(lin, forward="x", up="z")
+energies = jb.vibration.mode_energies(lin, forward="x", up="z")
 print(energies, jb.vibration.torque_roll_axis(lin, "engine", crankshaft), sep="\n\n")
 
 # %% [markdown]
@@ -51,7 +51,7 @@ print(tuned)
 # %%
 decoupled = jb.linearize(tuned.model, engine.reference)
 axis = jb.vibration.torque_roll_axis(decoupled, "engine", crankshaft)
-better = jb.mode_energies(decoupled, forward="x", up="z")
+better = jb.vibration.mode_energies(decoupled, forward="x", up="z")
 print(axis, better, sep="\n\n")
 
 # %% [markdown]

@@ -35,7 +35,6 @@ from jaxbody.fitting import confidence_bands as confidence_bands
 from jaxbody.fitting import diagnose as diagnose
 from jaxbody.fitting import fit as fit
 from jaxbody.fitting import modal as modal
-from jaxbody.fitting import profile_likelihood as profile_likelihood
 from jaxbody.fitting import validate as validate
 from jaxbody.geometry import closures as closures
 from jaxbody.geometry.fields import field as field
@@ -105,7 +104,6 @@ from jaxbody.vibration import complex_modes as complex_modes
 from jaxbody.vibration import control as control
 from jaxbody.vibration import frequency_response as frequency_response
 from jaxbody.vibration import linearize as linearize
-from jaxbody.vibration import mode_energies as mode_energies
 from jaxbody.vibration import modes as modes
 from jaxbody.vibration import random_response as random_response
 from jaxbody.vibration import track_modes as track_modes

@@ -43,7 +43,7 @@ def run(out: Path, seed: int, show: bool) -> int:
     tell(eq)
     report("Natural modes, by M, C and K: jax.hessian of T, R and V in closed form ...")
     lin = jb.linearize(engine, eq)
-    modes, energies = jb.modes(lin), jb.mode_energies(lin)
+    modes, energies = jb.modes(lin), jb.vibration.mode_energies(lin)
     tell(modes, energies)
     report(
         "Transmissibility from the frame to the engine; the frame acts through the mixed second "

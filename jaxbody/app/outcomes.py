@@ -74,7 +74,8 @@ def modes(study: Study, options: argparse.Namespace) -> Outcome:
 
     lin, remarks = _linear(study)
     modes: Any = jb.complex_modes(lin) if options.damped else fitting_modes(lin)
-    energies = [jb.mode_energies(lin)] if options.energies and isinstance(modes, Modes) else []
+    shown = options.energies and isinstance(modes, Modes)
+    energies = [jb.vibration.mode_energies(lin)] if shown else []
     return Outcome(
         [modes, *energies, *remarks],
         lambda: jb.plots.draw_mode(lin, modes, options.mode),
@@ -346,8 +347,10 @@ def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]
 
     lin, _ = _linear(study)
     found = fitting_modes(lin)
-    energies = {"Energies of modes": jb.mode_energies(lin)} if isinstance(found, Modes) else {}
-    return {"Small motions": lin, "Modes": found, **energies}
+    parts = {"Small motions": lin, "Modes": found}
+    if isinstance(found, Modes):
+        parts["Energies of modes"] = jb.vibration.mode_energies(lin)
+    return parts
 
 
 def at_equilibrium(compute: Callable[[Any], Any]) -> Callable[..., Outcome]:
@@ -392,7 +395,7 @@ def diagnose(study: Study, options: argparse.Namespace) -> Outcome:
 def profile_likelihood(study: Study, options: argparse.Namespace) -> Outcome:
     """Fit, and compute the profile of one of the parameters."""
     fit = fitted(study, options)["Fit"]
-    return Outcome([jb.profile_likelihood(fit, options.path or next(iter(fit.estimates)))])
+    return Outcome([jb.fitting.profile_likelihood(fit, options.path or next(iter(fit.estimates)))])
 
 
 def pareto(study: Study, options: argparse.Namespace) -> Outcome:

@@ -108,7 +108,7 @@ def profile_likelihood(
     ...     sensors={"x": jb.Position("mass", axis=[1, 0, 0])},
     ...     measured={"x": jnp.cos(2 * jnp.pi * times) + noise},
     ... )
-    >>> result = jb.profile_likelihood(
+    >>> result = jb.fitting.profile_likelihood(
     ...     jb.fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness"
     ... )
     >>> result.interval[0] < 4 * jnp.pi**2 < result.interval[1]

@@ -231,7 +231,7 @@ def mode_energies(
     ...         )
     ...     },
     ... )
-    >>> jb.mode_energies(jb.linearize(model, jb.equilibrium(model)), up="y").names
+    >>> jb.vibration.mode_energies(jb.linearize(model, jb.equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
     check_system(lin, "mode_energies", allow_float32=allow_float32)

@@ -36,7 +36,7 @@ def engine(tmp_path_factory):
         "Equilibrium": rest,
         "Small motions": lin,
         "Modes": jb.modes(lin),
-        "Energies": jb.mode_energies(lin),
+        "Energies": jb.vibration.mode_energies(lin),
         "Response": jb.frequency_response(lin, np.geomspace(1, 50, 100), inputs, outputs),
     }
     path = tmp_path_factory.mktemp("report") / "engine.html"
@@ -216,7 +216,7 @@ def cars(tmp_path_factory):
             "Equilibrium": rest,
             "Small motions": lin,
             "Modes": jb.modes(lin),
-            "Energies": jb.mode_energies(lin),
+            "Energies": jb.vibration.mode_energies(lin),
             "Response": response,
             "Cases": jb.load_cases(model, {"bump": jb.LoadCase(acceleration=[0, 0, 0.2])}),
             "Model": model,

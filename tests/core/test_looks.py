@@ -144,7 +144,7 @@ def made():
         lin.state_space(shaken, moved),
         modes,
         jb.complex_modes(lin),
-        jb.mode_energies(lin),
+        jb.vibration.mode_energies(lin),
         jb.vibration.elastic_axes(lin, "box"),
         jb.vibration.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout, model.independent),
@@ -178,7 +178,7 @@ def made():
         Coverage(
             ("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)
         ),
-        jb.profile_likelihood(result, free[0]),
+        jb.fitting.profile_likelihood(result, free[0]),
         jb.confidence_bands(result, lambda model: model["spring"].stiffness),
         jb.diagnose(one, {"run": measured(TIMES)}),
         jb.fitting.plausibility(one),

@@ -77,7 +77,7 @@ def test_responses_have_the_units_of_output_and_input(lin):
 
 @pytest.mark.long
 def test_modes_energies_matrices_and_cases_are_tables(lin):
-    modes, energies = jb.modes(lin), jb.mode_energies(lin)
+    modes, energies = jb.modes(lin), jb.vibration.mode_energies(lin)
     frame = modes.to_pandas()
     np.testing.assert_array_equal(frame["frequency"], modes.frequency)
     np.testing.assert_array_equal(frame.filter(like="shape"), modes.shapes.T)

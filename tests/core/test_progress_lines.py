@@ -149,7 +149,7 @@ CALLS = {
         "interval_coverage: 16 of 16 replicates",
     ),
     "profile_likelihood": (
-        lambda: jb.profile_likelihood(jb.fit(on_guide(), run(), free=FREE), FREE[0]),
+        lambda: jb.fitting.profile_likelihood(jb.fit(on_guide(), run(), free=FREE), FREE[0]),
         "profile_likelihood: point 1 below the estimate, tau",
     ),
     "diagnose": (lambda: jb.diagnose(on_guide(), run()), "diagnose: 'run'"),

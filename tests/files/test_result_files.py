@@ -47,7 +47,7 @@ def results():
         "linearization": lin,
         "modes": jb.modes(lin),
         "complex modes": jb.complex_modes(lin),
-        "energies": jb.mode_energies(lin),
+        "energies": jb.vibration.mode_energies(lin),
         "trajectory": run,
         "readings": measured,
         "experiment": experiments["run1"],

@@ -346,7 +346,7 @@ def test_a_fraction_has_an_interval_a_profile_bounds_and_random_starts_between_z
     np.testing.assert_allclose(result.estimates["s.spring.share"], best, rtol=1e-6)
     low, high = result.intervals(0.99)["s.spring.share"]
     assert 0 < low < best < high < 1
-    profile = jb.profile_likelihood(result, "s.spring.share", level=0.99)
+    profile = jb.fitting.profile_likelihood(result, "s.spring.share", level=0.99)
     assert 0 < profile.interval[0] < best < profile.interval[1] <= 1
     bounded = jb.fit(
         model,

@@ -70,7 +70,7 @@ def least(record, fixed):
 
 @pytest.fixture(scope="module")
 def profile(result):
-    return jb.profile_likelihood(result, "spring.damping")
+    return jb.fitting.profile_likelihood(result, "spring.damping")
 
 
 def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record, profile):
@@ -94,7 +94,7 @@ def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record
 def test_a_profile_at_a_bound_has_one_side(record):
     with pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"):
         held = fit(run(record), bounds={"spring.stiffness": (54, 80)})
-    side = jb.profile_likelihood(held, "spring.stiffness")
+    side = jb.fitting.profile_likelihood(held, "spring.stiffness")
     low, high = held.intervals()["spring.stiffness"]
     print(side.interval, low, high)
     assert side.interval[0] == pytest.approx(54) == float(low) and float(high) == pytest.approx(
@@ -110,7 +110,7 @@ def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
     for loss in ("soft_l1", "cauchy"):
         robust = fit(run(spoiled), loss=loss)
         ends, (low, high) = (
-            jb.profile_likelihood(robust, "spring.stiffness").interval,
+            jb.fitting.profile_likelihood(robust, "spring.stiffness").interval,
             robust.intervals()["spring.stiffness"],
         )
         print(ends, low, high)
@@ -123,7 +123,7 @@ def test_what_has_no_profile_is_reported(result):
         (("spring.stiffness", 1.5), "BAD_LEVEL"),
     ):
         with pytest.raises(jb.JaxbodyError) as error:
-            jb.profile_likelihood(
+            jb.fitting.profile_likelihood(
                 result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {})
             )
         assert error.value.code == code
@@ -326,7 +326,7 @@ def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(result, r
     )
     assert text in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
-        side = jb.profile_likelihood(few, "spring.stiffness")
+        side = jb.fitting.profile_likelihood(few, "spring.stiffness")
     assert (
         side.degrees_of_freedom == pytest.approx(6)
         and side.limit == pytest.approx(student.ppf(0.975, 6))

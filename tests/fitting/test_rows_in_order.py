@@ -154,7 +154,7 @@ def test_rows_have_priors_ties_and_traced_fits_but_no_bounds():
         ):
             solve(model, given, free=[path], bounds={path: (-3.0, 3.0)})
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.profile_likelihood(prior, f"{path}[2] - [1]")
+        jb.fitting.profile_likelihood(prior, f"{path}[2] - [1]")
     both = holding(jb.SpringDamper(*ENDS, spring=LAW, damper=Tabulated(LAW.x, 2 * LAW.forces)))
     tied = jb.fit(
         both, measured(RISE, row("forces")), free=["s.damper.forces = s.spring.forces * 2"]

@@ -190,7 +190,7 @@ def test_a_singular_mass_matrix_is_reported_as_such():
             result = analyse(lin)
         assert int(result.status) == jb.Status.SINGULAR_M and np.isnan(result.frequency).all()
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_M"):
-        assert np.isnan(np.array(list(jb.mode_energies(lin).kinetic.values()))).all()
+        assert np.isnan(np.array(list(jb.vibration.mode_energies(lin).kinetic.values()))).all()
 
 
 @pytest.mark.long

@@ -110,7 +110,7 @@ def test_small_motions(model, rest, lin):
     found = np.concatenate([np.asarray(damped.poles).ravel(), damped.relaxations])
     assert max(np.abs(exact - pole).min() for pole in found) < 1e-8 * np.abs(exact).max()
     for stiffness in ("relaxed", "instantaneous"):
-        energies = jb.mode_energies(lin, stiffness=stiffness)
+        energies = jb.vibration.mode_energies(lin, stiffness=stiffness)
         np.testing.assert_allclose(
             sum(energies.strain.values()) + sum(energies.other_strain.values()), 100, rtol=1e-8
         )

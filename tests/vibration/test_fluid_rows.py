@@ -130,7 +130,7 @@ def test_poles_of_a_powertrain():
     damped = jb.complex_modes(lin)
     np.testing.assert_allclose(damped.poles[:, 0], POLES, rtol=1e-9)
     assert damped.relaxations.shape == (0,) and damped.names[2].startswith("mount 1, fluid")
-    energies = jb.mode_energies(lin)
+    energies = jb.vibration.mode_energies(lin)
     np.testing.assert_allclose(
         sum(x.sum(0) for x in energies.kinetic.values()) + energies.inertia["mount 1, fluid"],
         100,
@@ -263,7 +263,7 @@ def test_branches_beside_a_fluid():
         np.asarray(relaxed.frequency) < np.asarray(instantaneous.frequency)
     ).all() and relaxed.shapes.shape == (5, 5)
     for stiffness in ("relaxed", "instantaneous"):
-        energies = jb.mode_energies(lin, stiffness=stiffness)
+        energies = jb.vibration.mode_energies(lin, stiffness=stiffness)
         np.testing.assert_allclose(
             sum(energies.strain.values()) + sum(energies.other_strain.values()), 100, rtol=1e-9
         )

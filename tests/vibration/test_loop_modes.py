@@ -80,7 +80,7 @@ def test_a_parallelogram_swings_as_a_pendulum(closed):
     damped = jb.complex_modes(lin)
     np.testing.assert_allclose(damped.frequency, modes.frequency, rtol=1e-10)
     assert damped.shapes.shape == (3, 1)
-    shares = jb.mode_energies(lin).kinetic_shares
+    shares = jb.vibration.mode_energies(lin).kinetic_shares
     turning = [100 * ABOUT / INERTIA] * 2 + [0.0]
     moving = [
         100 * m * (ARM / f) ** 2 / INERTIA for m, f in zip(MASSES.values(), (2, 2, 1), strict=True)

@@ -158,7 +158,7 @@ def test_modes_relaxed_and_instantaneous(solid):
         modes = jb.modes(solid, stiffness=stiffness)
         np.testing.assert_allclose(modes.frequency, [np.sqrt(k / MASS) / 2 / np.pi], rtol=1e-12)
     np.testing.assert_allclose(solid.condensed.C, [[K1 * TAU]], rtol=1e-12)
-    np.testing.assert_allclose(jb.mode_energies(solid).strain["s"], [100.0], rtol=1e-12)
+    np.testing.assert_allclose(jb.vibration.mode_energies(solid).strain["s"], [100.0], rtol=1e-12)
     with pytest.raises(jb.JaxbodyError):
         jb.modes(solid, stiffness="soft")
 

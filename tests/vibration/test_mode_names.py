@@ -83,9 +83,9 @@ def test_hop_and_tramp_have_names_of_their_own_everywhere(car):
             assert computed.names[i].rpartition(" %")[0].rpartition(" ")[0] in named
         assert len(named) == 4 and "each" in computed.names[3]
         assert all(name in str(computed) for name in computed.names)
-    energies = jb.mode_energies(car)
+    energies = jb.vibration.mode_energies(car)
     assert energies.names == modes.names and all(name in str(energies) for name in modes.names)
-    assert jb.mode_energies(car, forward="x").names[1] == "car pitch 85 %"
+    assert jb.vibration.mode_energies(car, forward="x").names[1] == "car pitch 85 %"
 
 
 @pytest.mark.long
@@ -128,10 +128,12 @@ def test_nearly_equal_frequencies_carry_a_mark():
     """1.6e-6 apart: 1e-5 of one stiffness moves shares by 40 points, which the mark says. Those
     that coincide have none: their energies are summed."""
     lin = on_springs(100.0, 100.0, 400.0, coupling=1.6e-4)
-    modes, energies = jb.modes(lin), jb.mode_energies(lin)
+    modes, energies = jb.modes(lin), jb.vibration.mode_energies(lin)
     f = np.asarray(modes.frequency)
     np.testing.assert_allclose(f[1] / f[0] - 1, 1.6e-6, rtol=0.02)
-    moved = jb.mode_energies(on_springs(100.0, 100.0 * (1 + 1e-5), 400.0, coupling=1.6e-4))
+    moved = jb.vibration.mode_energies(
+        on_springs(100.0, 100.0 * (1 + 1e-5), 400.0, coupling=1.6e-4)
+    )
     assert abs(float(moved.kinetic["m0"][0, 0] - energies.kinetic["m0"][0, 0])) > 40
     for computed in (modes, energies, jb.complex_modes(lin)):
         assert [name.endswith(" ~") for name in computed.names] == [True, True, False]
@@ -196,7 +198,7 @@ def test_what_is_no_linearization_is_refused_with_what_to_give(car):
                 r"equilibrium\(model\)\).*WRONG_KIND"
             ),
         ):
-            jb.mode_energies(given)
+            jb.vibration.mode_energies(given)
     with pytest.raises(
         jb.JaxbodyError, match=r"modes.lin: is a SpinLinearization .*Use complex_modes"
     ):

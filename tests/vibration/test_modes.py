@@ -46,7 +46,7 @@ def inertia_of(engine):
 
 @pytest.mark.long
 def test_kinetic_energies_of_the_published_powertrain(engine):
-    result = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
+    result = jb.vibration.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
     published = POWERTRAIN_ENERGIES
     # half of the last digit printed
     assert max_difference(result.kinetic["engine"], published) < 0.51e-4
@@ -67,7 +67,7 @@ def test_kinetic_energies_of_the_published_powertrain(engine):
 def test_shares_are_those_of_the_matrices(rig):
     """Kinetic energy with O away from the centers of mass and a hinge on a base, against the
     velocities of each body by differences; strain by the split of K."""
-    model, result = rig.model, jb.mode_energies(rig)
+    model, result = rig.model, jb.vibration.mode_energies(rig)
     M, K, C = (np.asarray(x) for x in (rig.M, rig.K, rig.C))
     values, phi = scipy.linalg.eigh(K, M)
     poses = [
@@ -128,7 +128,7 @@ def test_loads_have_their_share_and_undamped_elements_none():
         gravity=[0, 0, -9.81],
     )
     eq = jb.equilibrium(model, loads={"pull": jb.Force(("bob", [0, 0, -0.5]), force=[0, 0, -10.0])})
-    result = jb.mode_energies(jb.linearize(model, eq))
+    result = jb.vibration.mode_energies(jb.linearize(model, eq))
     expected = 100 * np.array([0.0, 19.62, 10.0]) / 29.62
     assert (
         max_difference(
@@ -152,7 +152,7 @@ def test_springs_share_by_stiffness_and_dampers_by_damping():
         joints={"mass": jb.Guide("world", axis="z")},
         elements=springs,
     )
-    energies = jb.mode_energies(jb.linearize(mass, mass.reference))
+    energies = jb.vibration.mode_energies(jb.linearize(mass, mass.reference))
     np.testing.assert_allclose(np.ravel(list(energies.strain.values())), [75, 25], rtol=1e-12)
     np.testing.assert_allclose(np.ravel(list(energies.dissipation.values())), [20, 80], rtol=1e-12)
 
@@ -160,10 +160,12 @@ def test_springs_share_by_stiffness_and_dampers_by_damping():
 @pytest.mark.long
 def test_directions_are_named_where_they_are_known(engine):
     lin = jb.linearize(engine, engine.reference)
-    assert jb.mode_energies(lin).names[0] == "engine along x 99 %"  # without gravity nothing is up
+    assert (
+        jb.vibration.mode_energies(lin).names[0] == "engine along x 99 %"
+    )  # without gravity nothing is up
     for wrong in ({"forward": "x"}, {"forward": "z", "up": "z"}, {"up": "w"}):
         with pytest.raises(jb.JaxbodyError) as error:
-            jb.mode_energies(lin, **wrong)
+            jb.vibration.mode_energies(lin, **wrong)
         assert error.value.code == "BAD_DIRECTION"
 
 
@@ -184,7 +186,11 @@ def test_gradients_of_frequencies_ratios_and_energies(rig):
         }
         changed = jb.replace(model, changed)
         lin = jb.linearize(changed, jb.equilibrium(changed, start=eq.state))
-        result, damped, shares = jb.modes(lin), jb.complex_modes(lin), jb.mode_energies(lin)
+        result, damped, shares = (
+            jb.modes(lin),
+            jb.complex_modes(lin),
+            jb.vibration.mode_energies(lin),
+        )
         parts = (
             result.frequency,
             result.damping_ratio,
@@ -291,7 +297,7 @@ def test_energies_of_equal_frequencies_are_those_of_their_space(of_square):
     def energies(k):
         """Shares, and the energies and losses that they are shares of."""
         lin = of_square(k)
-        result, modes = jb.mode_energies(lin), jb.modes(lin)
+        result, modes = jb.vibration.mode_energies(lin), jb.modes(lin)
         return (result.kinetic_shares[0], result.strain_shares, result.dissipation_shares), (
             jnp.ones(6), modes.eigenvalues, modes.damping_ratio * modes.frequency
         )  # fmt: skip

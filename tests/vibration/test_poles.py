@@ -601,7 +601,7 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     pytest.importorskip("xarray")
     damped, energies, axes = (
         jb.complex_modes(engine),
-        jb.mode_energies(engine),
+        jb.vibration.mode_energies(engine),
         jb.vibration.elastic_axes(engine, "engine"),
     )
     followed = jb.track_modes(crossing, np.linspace(100, 400, 7))
@@ -620,7 +620,7 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     # they would not see G
     for function in (
         jb.modes,
-        jb.mode_energies,
+        jb.vibration.mode_energies,
         lambda lin: jb.vibration.elastic_axes(lin, "disk"),
     ):
         assert refused(function, spun) == "WRONG_KIND"

@@ -267,7 +267,7 @@ def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
     ... )
     >>> fitted = jb.fit(model, {"track": track}, free=["spring.stiffness"])
     >>> jb.plots.plot_profile_likelihood(
-    ...     jb.profile_likelihood(fitted, "spring.stiffness")
+    ...     jb.fitting.profile_likelihood(fitted, "spring.stiffness")
     ... ).get_xlabel()
     'spring.stiffness [N/m]'
     """

@@ -45,7 +45,7 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
 
     >>> car = jb.presets.half_car()
     >>> ax = jb.plots.plot_mode_energies(
-    ...     jb.mode_energies(jb.linearize(car, jb.equilibrium(car)), forward="x")
+    ...     jb.vibration.mode_energies(jb.linearize(car, jb.equilibrium(car)), forward="x")
     ... )
     >>> ax.get_title()
     'kinetic energy [%]; 4 rows below 0.05 % left out'

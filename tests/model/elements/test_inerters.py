@@ -153,7 +153,7 @@ def test_two_masses_move_against_each_other():
     np.testing.assert_allclose(
         jb.modes(lin).frequency[1] * HERTZ, np.sqrt(k / (reduced + b)), rtol=1e-8
     )
-    energies = jb.mode_energies(lin)
+    energies = jb.vibration.mode_energies(lin)
     np.testing.assert_allclose(energies.inertia["inerter"][1], 100 * b / (reduced + b), rtol=1e-8)
     np.testing.assert_allclose(
         energies.kinetic_shares.sum((0, 1)) + energies.inertia_shares.sum(0), 100.0, rtol=1e-12

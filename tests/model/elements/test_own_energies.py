@@ -117,7 +117,7 @@ def test_shares_losses_and_the_split_have_a_place_for_them(models):
     # of a free body the whole Hessian is in its displacements
     assert_alike(of_spring, other.K_elastic_by_element["x"], 1e-12)
     assert_alike(one.K_elastic + one.K_geometric, other.K_elastic + other.K_geometric, 1e-12)
-    shares = [jb.mode_energies(lin) for lin in (one, other)]
+    shares = [jb.vibration.mode_energies(lin) for lin in (one, other)]
     total = [sum(each.strain.values()) + sum(each.other_strain.values()) for each in shares]
     assert_alike(*total, 1e-10)
     np.testing.assert_allclose(shares[1].dissipation["drag"], 100.0, rtol=1e-10)

@@ -166,7 +166,7 @@ def test_energies_say_what_has_no_potential():
             "magnet": magnet,
         },
     )
-    shares = jb.mode_energies(jb.linearize(model, model.reference))
+    shares = jb.vibration.mode_energies(jb.linearize(model, model.reference))
     forced = 40.0 * 400.0 / 3.0 - 2e3
     expected = 100 * np.array([k, forced]) / (k + forced)
     found = [shares.strain["spring"][0], shares.other_strain["no potential"][0]]

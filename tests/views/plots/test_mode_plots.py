@@ -15,7 +15,7 @@ from jaxbody.core.errors import Status
 @pytest.fixture(scope="module")
 def energies():
     car = jb.presets.half_car(front_damping=900.0)
-    return jb.mode_energies(jb.linearize(car, car.reference), forward="x")
+    return jb.vibration.mode_energies(jb.linearize(car, car.reference), forward="x")
 
 
 @pytest.mark.long

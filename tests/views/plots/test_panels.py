@@ -166,7 +166,7 @@ def test_thirty_two_lines_look_different():
 
 @pytest.mark.long
 def test_rows_without_energy_are_left_out_and_counted(car):
-    energies = jb.mode_energies(jb.linearize(car, car.reference), forward="x")
+    energies = jb.vibration.mode_energies(jb.linearize(car, car.reference), forward="x")
     ax = plots.plot_mode_energies(energies, ax=Figure().subplots())
     (image,) = ax.images
     shares = np.asarray(energies.kinetic_shares).reshape(-1, 7)
