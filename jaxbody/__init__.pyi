@@ -31,8 +31,10 @@ from jaxbody.files import write_results as write_results
 from jaxbody.fitting import Experiment as Experiment
 from jaxbody.fitting import MeasuredModes as MeasuredModes
 from jaxbody.fitting import MeasuredResponse as MeasuredResponse
+from jaxbody.fitting import choose as choose
 from jaxbody.fitting import confidence_bands as confidence_bands
 from jaxbody.fitting import diagnose as diagnose
+from jaxbody.fitting import expected_fit as expected_fit
 from jaxbody.fitting import fit as fit
 from jaxbody.fitting import modal as modal
 from jaxbody.fitting import validate as validate

@@ -83,6 +83,7 @@ INSIDE = {  # packages within packages and the files beside them, from the groun
         "fitting.experiments",
         "fitting.modal",
         "fitting",
+        "fitting.planning",
     ),
     "files": ("files", "files.studies", "files.interchange"),
     "views": ("views.scenes", "views.plots", "views"),

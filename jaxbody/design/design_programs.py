@@ -154,7 +154,7 @@ class Flat:
         self.shapes: Shapes = ()
 
     def __call__(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
-        quantities = evaluated(self.evaluate, self.space.designed(u)[0], *self.more)
+        quantities = evaluated(self.evaluate, *self.space.arguments(u), *self.more)
         self.shapes = tuple((name, x.shape) for name, x in quantities.items())
         return jnp.concatenate([x.ravel() for x in quantities.values()])
 

@@ -37,6 +37,7 @@ from jaxbody.design.design_programs import (
 )
 from jaxbody.design.searches import MET, METHODS, Search, one_thread, run
 from jaxbody.design.tuning_results import Tuning, tuning_of
+from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.parameters.spaces import Space, drawn, model_of, space_of
 from jaxbody.model.leaf_paths import matching
 from jaxbody.model.models import Model
@@ -56,6 +57,7 @@ def tune(
     limits: dict[str, Any] | None = None,
     bounds: dict[str, tuple[Any, Any]] | None = None,
     catalogues: dict[str, Iterable[float]] | None = None,
+    plans: dict[str, Measurement] | None = None,
     starts: int = 1,
     key: Any = None,
     method: Any = "slsqp",
@@ -80,6 +82,9 @@ def tune(
         bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
         catalogues: {path or pattern: available values}; all neighbors of the optimum are tried,
             with the other parameters tuned again.
+        plans: {name: planned measurement}, whose numbers have paths too ("run1.base.frequency",
+            "run1.acc.point", "hammer.frequencies"); `evaluate` then takes model and plans, for a
+            criterion of their `fitting.information`. By default none.
         starts: number of initial designs: the model, and others drawn between the bounds; they
             are searched one after the other.
         key: random key for the drawn designs and for stochastic objectives; None
@@ -150,14 +155,18 @@ def tune(
                 hint="Leave it out.",
             )
         limited = problems.gather(lambda: limits_of(limits or {}))
-        space = problems.gather(lambda: space_of(model, free, "tune", bounds=bounds, between=True))
+        space = problems.gather(
+            lambda: space_of(model, free, "tune", runs=plans, bounds=bounds, between=True)
+        )
     low, high = space.bounds
     catalogs = _catalogs(space, catalogues, low, high)
     _check_options(method, limited, catalogs)
     U = drawn(space, low, high, starts, key, "tune.bounds")
     if key is None and not isinstance(method, str):
         key = jax.random.key(0)
-    stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
+    stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > (
+        2 if plans else 1
+    )
     program = Program(
         space,
         evaluate,
@@ -355,7 +364,7 @@ def _descend(
 
     def one(u, key):
         def value(u, key):
-            return evaluated(evaluate, space.designed(u)[0], *((key,) if stochastic else ()))[
+            return evaluated(evaluate, *space.arguments(u), *((key,) if stochastic else ()))[
                 minimize
             ]
 

@@ -27,6 +27,7 @@ from jaxbody.design.design_programs import (
     variables_over,
 )
 from jaxbody.design.searches import ACTIVE, CONVERGED, MET, Multipliers, Search, multipliers
+from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.parameters.spaces import Space, model_of
 from jaxbody.fitting.parameters.transforms import Positive
 from jaxbody.mechanics.equilibria import equilibrium_of
@@ -107,7 +108,7 @@ class Runs(eqx.Module):
 
 
 class Tuning(Labeled, Result):
-    """A tuned design. `model`, and `suspension` if one was tuned; `values` {path: value};
+    """A tuned design. `model`, `suspension` and `plans` if they were tuned; `values` {path: value};
     quantities `before` and `after` {name: value}; `active` constraints as text; `multipliers`
     {limited quantity or parameter at its bound: shadow price, d objective/d limit}; `words`, the
     effect of one percent more of each limit; `history` (evaluations, 2) of the objective and the
@@ -123,6 +124,7 @@ class Tuning(Labeled, Result):
 
     index = "start"
     model: Model
+    plans: dict[str, Measurement]
     values: dict[str, Array]
     before: Quantities
     after: Quantities
@@ -333,7 +335,7 @@ def tuning_of(
     U, values = (
         np.stack([getattr(search, name) for search in searches]) for name in ("u", "values")
     )
-    design, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
+    design, plans, values_of, values_of_runs = placed(space, device_array(best.u), device_array(U))
     status, prices = _status_and_multipliers(best, space)
     constraints = (
         []
@@ -343,6 +345,7 @@ def tuning_of(
     return Tuning(
         model=model_of(design),
         suspension=design if isinstance(design, Suspension) else None,
+        plans=plans,
         values=values_of,
         before=quantities(before),
         after=quantities(best.values),
@@ -375,8 +378,9 @@ def tuning_of(
 
 @program
 def placed(space: Space, u: Float[Array, "n"], U: Float[Array, "b n"]):
-    """Return the design at u and its parameter values, and the parameter values at each of U."""
-    return space.designed(u)[0], space.values(u), jax.vmap(space.values)(U)
+    """Return the design and the plans at u and their parameter values, and the parameter values at
+    each of U."""
+    return *space.designed(u), space.values(u), jax.vmap(space.values)(U)
 
 
 @dataclass(frozen=True)

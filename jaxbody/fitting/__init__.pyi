@@ -13,6 +13,11 @@ from jaxbody.fitting.fit_results import Fit as Fit
 from jaxbody.fitting.fitters import fit as fit
 from jaxbody.fitting.multistarts import Multistart as Multistart
 from jaxbody.fitting.multistarts import multistart as multistart
+from jaxbody.fitting.planning.choices import choose as choose
+from jaxbody.fitting.planning.criteria import criterion as criterion
+from jaxbody.fitting.planning.expected_fits import expected_fit as expected_fit
+from jaxbody.fitting.planning.expected_fits import information as information
+from jaxbody.fitting.planning.further_measurements import further_measurements as further_measurements
 from jaxbody.fitting.profiles import profile_likelihood as profile_likelihood
 from jaxbody.fitting.shootings import multiple_shooting as multiple_shooting
 from jaxbody.fitting.validations import validate as validate

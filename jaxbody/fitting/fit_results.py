@@ -28,7 +28,7 @@ from jaxbody.fitting.experiments.measurements import Measurement
 from jaxbody.fitting.parameters.spaces import Space, arrays_of
 from jaxbody.fitting.parameters.transforms import Direction, Elementwise, Rotated
 from jaxbody.fitting.residuals import Task
-from jaxbody.fitting.statistics.uncertainties import Uncertainty, check_level, quantile
+from jaxbody.fitting.statistics.uncertainties import ZERO, Uncertainty, check_level, quantile
 from jaxbody.model.models import Model
 from jaxbody.suspension.suspensions import Suspension
 
@@ -104,12 +104,12 @@ class Fit(Labeled, Result):
     the data do not determine a parameter), `intervals(level)` and their `degrees_of_freedom`.
     `unidentified` lists combinations of parameters that the data do not determine, `at_bound` the
     parameters at a bound. `u` are the transformed parameters, zero at the initial guess;
-    `covariance` and `limits` (bounds) refer to u, `singular_values` to the Jacobian with scaled
-    columns. `predicted`: {run: {sensor: array}}; `noise`: {run: {sensor: rms residual}}, for a pose
-    two numbers, in meters and radians; `correlation`: lag-one correlation of the residuals; `cost`:
-    1/2 r'r; `history`: cost of every evaluation; `rounds`: evaluations after which the noise was
-    estimated again; `failed`: number of trials that could not be simulated; `remarks`: suggested
-    remedies.
+    `covariance`, `correlations`, `information` and `limits` (bounds) refer to u, `singular_values`
+    to the Jacobian with scaled columns. `predicted`: {run: {sensor: array}}; `noise`:
+    {run: {sensor: rms residual}}, for a pose two numbers, in meters and radians; `correlation`:
+    lag-one correlation of the residuals; `cost`: 1/2 r'r; `history`: cost of every evaluation;
+    `rounds`: evaluations after which the noise was estimated again; `failed`: number of trials that
+    could not be simulated; `remarks`: suggested remedies.
 
     `status`: OK, FAR_OFF, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND, NOISY_INPUT or
     INTERRUPTED. A batch keeps its leading axes; a fit inside jit or vmap has no standard errors.
@@ -228,6 +228,22 @@ class Fit(Labeled, Result):
     @property
     def covariance(self) -> np.ndarray:
         return self._assessed().covariance
+
+    @property
+    def correlations(self) -> np.ndarray:
+        """Correlations (n, n) of the estimates; zero with what is not determined."""
+        size = np.sqrt(np.diag(self.covariance))
+        size = np.where(size > 0, size, 1.0)
+        return self.covariance / np.outer(size, size)
+
+    @property
+    def information(self) -> np.ndarray:
+        """The inverse of the covariance of the u of the model, zero along what is not determined or
+        at a bound; parameters of single runs n are eliminated: M_mm - M_mn M_nn^-1 M_nm."""
+        M = np.linalg.pinv(self.covariance, ZERO, hermitian=True)
+        _, m = self.task.space.of_model({})
+        rest = np.linalg.pinv(M[np.ix_(~m, ~m)], ZERO, hermitian=True)
+        return M[np.ix_(m, m)] - M[np.ix_(m, ~m)] @ rest @ M[np.ix_(~m, m)]
 
     @property
     def singular_values(self) -> np.ndarray:

@@ -176,7 +176,7 @@ def fit(
         )
         max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
         _check_method(method, bounds, problems)
-    _check_runs(model, experiments)
+    check_runs(model, experiments, "fit.experiments")
     space = space_of(design, free, "fit", runs=dict(experiments), bounds=bounds, priors=priors)
     noise, estimated = first_noise(experiments, absolute=bool(priors) or loss is not None)
     task = Task(space, noise, Integration(rtol, solver, stepsize_controller, dt0, max_steps), loss)
@@ -291,7 +291,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     r, J, runs = evaluate(u)
     space, limits = task.space, task.space.bounds
-    design, experiments, slopes = _placed(space, device_array(u))
+    design, experiments, slopes = placed(space, device_array(u))
     model = model_of(design)
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * floor(task)
@@ -392,7 +392,7 @@ def _unexplained(
 
 
 @program
-def _placed(
+def placed(
     space: Space, u: Float[Array, "n"]
 ) -> tuple[Model | Suspension, dict[str, Measurement], dict[str, Array]]:
     """Return the model or suspension and the runs at u, and the derivatives of the values of each
@@ -435,8 +435,11 @@ def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, .
     return (f"give a better initial guess, or {remedy}",)
 
 
-def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
-    problems = check_measurements(experiments, "fit.experiments")
+def check_runs(
+    model: Model, experiments: dict[str, Measurement], where: str, *, plans: bool = False
+) -> None:
+    """Check names of measurements, and that these match the model; `plans` may have no data."""
+    problems = check_measurements(experiments, where, plans=plans)
     for name in experiments:
         reserved = {
             "a body": model.layout.bodies,

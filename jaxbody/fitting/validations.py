@@ -14,7 +14,6 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
-from jaxbody.core.compilation.compile_options import program_with
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.fitting.experiments.measurements import (
@@ -24,8 +23,9 @@ from jaxbody.fitting.experiments.measurements import (
 )
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.parameters.spaces import Space
-from jaxbody.fitting.residuals import Levels, Task, options_of, residuals_of_means
+from jaxbody.fitting.residuals import Levels, Task, residual_and_jacobian, residuals_of_means
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
+from jaxbody.fitting.statistics.uncertainties import errors_of
 
 WHITE = 0.01  # p-value above which residuals are reported as white
 
@@ -37,6 +37,7 @@ class Validation(Result):
     channel; `excess`, the ratio of this rms to the noise estimated by the fit; and `whiteness`, a
     test for white noise, None for short records and for measurements that are not time series.
     `experiments` contains the runs, `predicted` and `residuals` are {run: {channel: array}}.
+    `further` says which record would help the fit most if it were fitted too.
     `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed` gives the
     reasons."""
 
@@ -49,6 +50,7 @@ class Validation(Result):
     predicted: dict[str, dict[str, Array]]
     residuals: dict[str, dict[str, Array]]
     failed: dict[str, str]
+    further: str
     status: np.ndarray
 
     def explain(self) -> str:
@@ -83,7 +85,7 @@ class Validation(Result):
         )
         note = (
             "NRMSE: rms of the residual over the standard deviation of the measured "
-            f"record; {self.report()}"
+            f"record; {self.report()}{f'; {self.further}' if self.further else ''}"
         )
         return [tables.PrintedTable("Validation", heads, rows, note)]
 
@@ -125,12 +127,13 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
         }
         for run, e in experiments.items()
     }
-    task = Task(Space(fit.model, (), dict(experiments)), noise, fit.task.integration)
-    runs = _runs(task)
+    space, own = fit.task.space.of_model(experiments)
+    task = Task(space, noise, fit.task.integration)
+    _, J, runs = residual_and_jacobian(task, jnp.asarray(np.asarray(fit.u)[own]))
     means = {run: ({}, r) for run, r in residuals_of_means(experiments).items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
     fit_noise = {name: level for levels in fit.noise.values() for name, level in levels.items()}
-    nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
+    nrmse, rms, excess, tests, units, told = {}, {}, {}, {}, {}, {}
     for record in records_of(task.experiments):
         residual, name, unit = r[record.rows], *record.group.rsplit(" ", 1)
         spread, size = np.sqrt(np.mean(signal[record.rows] ** 2)), np.sqrt(np.mean(residual**2))
@@ -138,6 +141,8 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
             nrmse[record.name], rms[record.name] = float(size / spread), float(size)
         level = np.ravel(fit_noise[name])[int(unit)] if name in fit_noise else np.nan
         excess[record.name] = float(size / level)
+        of_record = np.asarray(J)[record.rows] / (level if np.isfinite(level) else size)
+        told[record.name] = of_record.T @ of_record
         tests[record.name] = (
             whiteness(residual) if record.series and np.isfinite(residual).all() else None
         )
@@ -161,11 +166,35 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
             predicted=predicted,
             residuals=residuals,
             failed=failed,
+            further="" if failed or fit.uncertainty is None else _further(fit, space, told),
             status=np.asarray(Status.NONFINITE if failed else Status.OK),
         )
     )
 
 
-@program_with(options_of)
-def _runs(task: Task):
-    return task.runs(jnp.zeros(0))
+def _further(fit: Fit, space: Space, told: dict[str, np.ndarray]) -> str:
+    """Return which record would help the fit most if it were fitted too, "" if none would.
+
+    Args:
+        fit: the fit.
+        space: the parameters of the model.
+        told: {record: information of these parameters}.
+    """
+    total = fit.information + sum(told.values())
+    before = errors_of(fit.information, total)
+    after = {name: errors_of(fit.information + M, total) for name, M in told.items()}
+
+    def worst(errors: np.ndarray) -> tuple[int, float]:
+        return int(np.isinf(errors).sum()), float(errors[np.isfinite(errors)].max(initial=0.0))
+
+    best = min(after, key=lambda name: worst(after[name]))
+    (unknown, error), (still, least) = worst(before), worst(after[best])
+    if still < unknown:
+        words = [p for p, a, b in zip(space.names, before, after[best], strict=True) if a > b == b]
+        return f"fitted too, {best} would determine {', '.join(words)}"
+    if not least < 0.99 * error:
+        return ""
+    return (
+        f"fitted too, {best} would help most: the largest relative standard error would fall from "
+        f"{tables.percent(error)} to {tables.percent(least)}"
+    )

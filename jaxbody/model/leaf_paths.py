@@ -103,7 +103,7 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
         roots = tree.named()
         sizes = [np.size(x) for x in jax.tree.leaves(tree)]  # a state without z has none
         return [
-            Leaf(f"{prefix}{name}.{path}", n, None, 0, kind)
+            Leaf(f"{prefix}{name}.{path}".removesuffix("."), n, None, 0, kind)
             for name, part in numbers.named().items()
             for path, n, kind in _fields(part, roots[name])
             if sizes[n]

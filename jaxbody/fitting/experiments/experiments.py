@@ -291,13 +291,14 @@ class Experiment(Measurement):
 
     def scale_of(self, path, unit):
         """Return 1 for a gain, which may have either sign, the sampling interval for a delay, the
-        rms of the record for a bias or an initial value."""
+        rms of the record, or of the noise of a plan, for a bias or an initial value."""
         name, _, stage = path.rpartition(".")
         if name not in self.sensors or stage not in self.sensors[name].stages:
             return None
         if unit == "s":
             return (self.times[-1] - self.times[0]) / (len(self.times) - 1)
-        rms = jnp.sqrt(jnp.nanmean(self.measured[name] ** 2)) if unit else jnp.ones(())
+        size = (self.measured or self.noise or {}).get(name, 1.0)  # a plan has noise alone
+        rms = jnp.sqrt(jnp.nanmean(jnp.square(size))) if unit else jnp.ones(())
         return jnp.where(rms > 0, rms, 1.0)
 
     def check(self, model: Model, where: str) -> None:

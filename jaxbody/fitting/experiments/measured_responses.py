@@ -3,6 +3,7 @@ outputs; natural frequencies, damping ratios and mode shapes of a modal test."""
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -66,7 +67,8 @@ class MeasuredResponse(ByFrequency):
         frequencies: [Hz] (nf,).
         inputs, outputs: {name: port} as in `frequency_response`.
         measured: {(output, input): complex (nf,)} for any number of pairs, NaN for frequencies to
-            leave out.
+            leave out. None: a plan of the pairs in `noise`, or of all pairs, whose frequencies
+            have the path "hammer.frequencies".
         noise: the standard deviation of the real part and of the imaginary part, one number
             or {(output, input): one number or one for each frequency}. For a coherence g2 of n
             averages it is |H| sqrt((1 - g2)/(2 n g2)). By default estimated from the residuals.
@@ -94,21 +96,26 @@ class MeasuredResponse(ByFrequency):
     noise: dict[str, Float[Array, "..."]] | None
     pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
-    def __init__(self, frequencies, *, inputs, outputs, measured, noise=None, loss_factor=None):
+    def __init__(
+        self, frequencies, *, inputs, outputs, measured=None, noise=None, loss_factor=None
+    ):
         with Problems() as problems:
             checked = problems.gather(
                 lambda: check_frequencies(frequencies, "MeasuredResponse.frequencies")
             )
             shape = np.shape(frequencies if checked is None else checked)
-            if not measured:
+            plan, known = measured is None, component_units(outputs)
+            pairs = noise if isinstance(noise, dict) else product(known, inputs)
+            given = {pair: np.zeros(shape) for pair in pairs} if measured is None else measured
+            if not given:
                 problems.add(
                     "NO_DATA",
                     "MeasuredResponse.measured",
                     "is empty",
                     limit="at least one pair (output, input)",
                 )
-            arrays, known = {}, component_units(outputs)
-            for pair, value in measured.items():
+            arrays = {}
+            for pair, value in given.items():
                 where = f"MeasuredResponse.measured[{pair!r}]"
                 output, source = (
                     pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair)
@@ -118,7 +125,7 @@ class MeasuredResponse(ByFrequency):
                         problems.collected.append(unknown(str(name), where, tuple(ports)))
                 arrays[pair] = _complex(value, shape, where, problems)
             if not isinstance(noise, dict):
-                noise = {} if noise is None else dict.fromkeys(measured, noise)
+                noise = {} if noise is None else dict.fromkeys(given, noise)
             levels = noise_of(noise, arrays, "MeasuredResponse.noise", problems)
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
@@ -128,7 +135,7 @@ class MeasuredResponse(ByFrequency):
             if loss_factor is None
             else {name: device_array(x) for name, x in by_element.items()}
         )
-        self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
+        self.measured = {} if plan else {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
         self.noise = {_name(pair): level for pair, level in levels.items()} or None
         self.pairs = tuple(arrays)
 
@@ -145,6 +152,7 @@ class MeasuredResponse(ByFrequency):
             **self.inputs,
             **self.outputs,
             **({} if self.loss_factor is None else {"loss_factor": self.loss_factor}),
+            **({} if self.measured else {"frequencies": self.frequencies}),
         }
 
     def check(self, model, where):
@@ -214,7 +222,8 @@ class MeasuredModes(Measurement):
     """Result of a modal test with `nm` natural modes, as measurements for a fit.
 
     Args:
-        frequency: [Hz] (nm,); NaN for a missing number here and below.
+        frequency: [Hz] (nm,); NaN for a missing number here and below. None: a plan of the modes in
+            `number` and of the quantities in `noise`.
         damping_ratio: (nm,); by default not measured.
         shapes: real mode shapes (nm, ns) at the `sensors`, in their order; by default not measured.
         sensors: {name: sensor} of positions or rotations; each component of a sensor is a column
@@ -249,7 +258,7 @@ class MeasuredModes(Measurement):
     def __init__(
         self,
         *,
-        frequency,
+        frequency=None,
         damping_ratio=None,
         shapes=None,
         sensors=None,
@@ -266,18 +275,20 @@ class MeasuredModes(Measurement):
                 for name, x in given.items()
                 if x is not None
             }
-            count = arrays["frequency"].shape[0] if arrays["frequency"].ndim else 0
+            plan = frequency is None
+            count = np.size(number if plan else arrays["frequency"])
             expected = {
                 "frequency": (count,),
                 "damping_ratio": (count,),
                 "shapes": (count, len(component_units(self.sensors))),
             }
-            if not count:
+            if not count or (plan and number is None):
                 problems.add(
                     "NO_DATA",
                     "MeasuredModes.frequency",
                     "is empty",
                     limit="one number for each mode",
+                    hint="A plan has number=[0, 1, ...] and noise= instead.",
                 )
             for name, array in arrays.items():
                 where, values = f"MeasuredModes.{name}", concrete(array)
@@ -325,7 +336,8 @@ class MeasuredModes(Measurement):
                     value=number,
                     limit=f"{count} different numbers from 0 up",
                 )
-            self.noise = noise_of(noise or {}, arrays, "MeasuredModes.noise", problems) or None
+            known = arrays or {name: np.zeros(shape) for name, shape in expected.items()}
+            self.noise = noise_of(noise or {}, known, "MeasuredModes.noise", problems) or None
         if "shapes" in arrays:
             arrays["shapes"] = arrays["shapes"] / np.sqrt(
                 np.nansum(arrays["shapes"] ** 2, 1, keepdims=True)
@@ -338,7 +350,7 @@ class MeasuredModes(Measurement):
         return {
             name: NumberChannel(unit=unit, series=False)
             for name, unit in UNITS.items()
-            if name in self.measured
+            if name in self.names
         }
 
     def named(self):
@@ -379,14 +391,16 @@ class MeasuredModes(Measurement):
             "frequency": frequency[which],
             "damping_ratio": damping_ratio[which],
         }
-        if "shapes" in self.measured:
-            x, y = at_sensors[:, which].T, self.measured["shapes"]
+        if "shapes" in self.names:
+            x = at_sensors[:, which].T
+            y = self.measured.get("shapes", jnp.zeros_like(x))
             present = ~jnp.isnan(y)
-            scale = jnp.sum(jnp.where(present, x * y, 0), 1) / jnp.sum(
-                jnp.where(present, x * x, 0), 1
-            )
+            along = jnp.sum(jnp.where(present, x * y, 0), 1)
+            square = jnp.sum(jnp.where(present, x * x, 0), 1)
+            # a planned shape has the length one
+            scale = jnp.where(along == 0, 1 / jnp.sqrt(square), along / square)
             readings["shapes"] = scale[:, None] * x
-        return {name: readings[name] for name in self.measured}
+        return {name: readings[name] for name in self.names}
 
     def predicted(self, lin: Any) -> tuple[Array, Array, Array]:
         """Return natural frequencies, damping ratios and shapes at the sensors (ns, n) of all modes

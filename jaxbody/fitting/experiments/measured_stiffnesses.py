@@ -19,6 +19,8 @@ from jaxbody.fitting.experiments.measurements import (
 from jaxbody.vibration.dynamic_stiffnesses import dynamic_stiffness
 from jaxbody.vibration.frequency_responses import check_frequencies
 
+UNITS = {"magnitude": "N/m", "loss_angle": "rad"}
+
 
 class MeasuredStiffness(ByFrequency):
     """The measured dynamic stiffness of one element. Only this element of the model is used.
@@ -27,7 +29,7 @@ class MeasuredStiffness(ByFrequency):
         element: name of the element
         frequencies: [Hz] (nf,)
         magnitude: |K| (nf,) [N/m, N m/rad], NaN for frequencies to leave out
-        loss_angle: angle of K (nf,) [rad], likewise; at least one of the two is needed
+        loss_angle: angle of K (nf,) [rad], likewise; without both, a plan of those in `noise`
         amplitude: amplitude of the deformation [m, rad], as in `dynamic_stiffness`; by default
             small
         preload: static force or moment [N, N m], by default 0
@@ -79,7 +81,7 @@ class MeasuredStiffness(ByFrequency):
                 for name, x in given.items()
                 if x is not None
             }
-            if not arrays:
+            if not arrays and not noise:
                 problems.add(
                     "NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle="
                 )
@@ -91,7 +93,8 @@ class MeasuredStiffness(ByFrequency):
                     problems,
                     missing="frequencies to leave out",
                 )
-            self.noise = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems) or None
+            known = arrays or {name: np.zeros(shape) for name in UNITS}
+            self.noise = noise_of(noise or {}, known, "MeasuredStiffness.noise", problems) or None
             if amplitude is not None:
                 amplitude = scalar(amplitude, "MeasuredStiffness.amplitude", problems)
             force = scalar(preload, "MeasuredStiffness.preload", problems)
@@ -103,8 +106,7 @@ class MeasuredStiffness(ByFrequency):
 
     @property
     def channels(self):
-        units = {"magnitude": "N/m", "loss_angle": "rad"}
-        return {name: NumberChannel(unit=units[name]) for name in self.measured}
+        return {name: NumberChannel(unit=UNITS[name]) for name in self.names}
 
     def check(self, model, where):
         with Problems() as problems:
@@ -124,7 +126,7 @@ class MeasuredStiffness(ByFrequency):
 
     def readings(self, model, integration, lin):
         predicted = self._predicted(model)
-        return {name: getattr(predicted, name) for name in self.measured}
+        return {name: getattr(predicted, name) for name in self.names}
 
     def explain(self, model, integration):
         return self._predicted(model).report()

@@ -33,7 +33,7 @@ class MeasuredCurves(Measurement):
         over: {name: values (n,), or one number}: values of these quantities in each row, as changes
             from the design position [m or rad].
         measured: {curve: (n,)} in SI units, angles in rad, by the names of `suspension_curves`:
-            "toe", "camber", "wheel x"; NaN for rows to leave out.
+            "toe", "camber", "wheel x"; NaN for rows to leave out. None: a plan of those in `noise`.
         noise: standard deviations {curve: one number or one for each row}; by default estimated
             from the residuals.
 
@@ -69,15 +69,15 @@ class MeasuredCurves(Measurement):
         *,
         drive: Mapping[str, Any],
         over: Mapping[str, Any],
-        measured: Mapping[str, Any],
+        measured: Mapping[str, Any] | None = None,
         noise=None,
     ):
         with Problems() as problems:
             arrays = {
                 name: float_array(x, f"MeasuredCurves.measured['{name}']")
-                for name, x in measured.items()
+                for name, x in (measured or {}).items()
             }
-            if not arrays:
+            if not arrays and not noise:
                 problems.add(
                     "NO_DATA", "MeasuredCurves.measured", "is empty", limit="at least one curve"
                 )
@@ -91,7 +91,8 @@ class MeasuredCurves(Measurement):
                     missing="rows to leave out",
                     limit=f"{shape}, a number for each row of over",
                 )
-            self.noise = noise_of(noise or {}, arrays, "MeasuredCurves.noise", problems) or None
+            known = arrays or {name: np.zeros(shape) for name in noise or {}}
+            self.noise = noise_of(noise or {}, known, "MeasuredCurves.noise", problems) or None
         self.wheel = wheel
         self.driven = {
             name: jax.tree.map(device_array, by)
@@ -109,7 +110,7 @@ class MeasuredCurves(Measurement):
 
     @property
     def channels(self):
-        return {name: NumberChannel(unit=curve_unit(name)) for name in self.measured}
+        return {name: NumberChannel(unit=curve_unit(name)) for name in self.names}
 
     def named(self):
         return {
@@ -145,7 +146,7 @@ class MeasuredCurves(Measurement):
                 )
                 or ()
             )
-            missing = [name for name in self.measured if names and name not in names]
+            missing = [name for name in self.names if names and name not in names]
             problems.collected += [unknown(name, f"{where}.measured", names) for name in missing]
 
     def _curves(self, model: Any):
@@ -153,7 +154,7 @@ class MeasuredCurves(Measurement):
 
     def readings(self, model, integration, lin):
         curves = self._curves(model)
-        return {name: curves[name] for name in self.measured}
+        return {name: curves[name] for name in self.names}
 
     def explain(self, model, integration):
         return self._curves(model).report()

@@ -1,5 +1,6 @@
 """The interface between measurements and fits: records in time, frequency responses, modes and
-curves are all residuals by channel; checks of measured numbers."""
+curves are all residuals by channel; checks of measured numbers. A measurement without data is a
+plan of the channels whose noise it states."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -31,6 +32,11 @@ class Measurement(eqx.Module):
     @property
     @abstractmethod
     def channels(self) -> Mapping[str, Channel]: ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of what is measured, or planned."""
+        return tuple(self.measured or self.noise or ())
 
     @abstractmethod
     def readings(self, model: Any, integration: Any, lin: Any) -> dict[str, Array]:
@@ -110,9 +116,11 @@ class NumberChannel(Channel):
     series: bool = eqx.field(static=True, default=True)  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
-def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Problems:
-    """Return the problems of measurements by name, to which the caller may add others. Error:
-    WRONG_KIND if `experiments` is not a dict."""
+def check_measurements(
+    experiments: Mapping[str, Measurement], where: str, *, plans: bool = False
+) -> Problems:
+    """Return the problems of measurements by name, to which the caller may add others; `plans` may
+    have no data. Error: WRONG_KIND if `experiments` is not a dict."""
     problems = Problems()
     if not isinstance(experiments, dict):
         kind = type(experiments).__name__
@@ -139,13 +147,13 @@ def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Pr
                 value=experiment,
                 limit="Experiment",
             )
-        elif not experiment.measured:
+        elif not (experiment.measured or plans):
             problems.add(
                 "NO_DATA",
                 f"experiments[{name!r}]",
                 "is a plan, without measured data",
                 hint="Give measured=, a record or arrays; `measure` of a simulated motion makes "
-                "some.",
+                "some. `expected_fit` takes plans.",
             )
     return problems
 

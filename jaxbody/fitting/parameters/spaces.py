@@ -10,6 +10,7 @@ Searches may begin at random points between the bounds of u.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -164,6 +165,19 @@ class Space(eqx.Module):
         return eqx.tree_at(
             lambda suspension: suspension.model, moved, write(moved.model, new[""])
         ), runs
+
+    def of_model(self, runs: dict[str, Any]) -> tuple[Space, np.ndarray]:
+        """Return the space of the parameters of the model alone, without priors, with other runs,
+        and which u of this space they are."""
+        own = np.array([not p.run for p, _ in self.parts for _ in range(p.form.size)], bool)
+        kept = tuple(replace(p, prior=None) for p in self.parameters if not p.run)
+        return Space(self.model, kept, dict(runs), self.suspension), own
+
+    def arguments(self, u: Float[Array, "n"]) -> tuple[Any, ...]:
+        """Return the arguments of a function of the design at u: the suspension, or else the model,
+        and the runs if there are any."""
+        design, runs = self.designed(u)
+        return (design, runs) if runs else (design,)
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the number that each u determines and its derivative with respect to u; for

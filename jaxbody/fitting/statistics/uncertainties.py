@@ -45,6 +45,7 @@ SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of wh
 TOGETHER = 0.3  # correlation of two records that is reported
 # probability of residuals this large, given the stated noise, below which they are reported
 UNLIKELY = 1e-3
+ZERO = 1e-13  # eigenvalue of a covariance, relative to the largest, that is round-off
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
 
@@ -177,6 +178,16 @@ def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))
     U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
     return U[: len(J)], S, Vt, RANK * S.max(initial=0.0) < S
+
+
+def errors_of(M: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Return the standard errors of u by the information M, infinite where it does not determine
+    them. `total`: information whose diagonal gives the scales of u."""
+    size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+    S, V = np.linalg.eigh(M / np.outer(size, size))
+    known = RANK**2 * S.max(initial=0.0) < S
+    errors = np.sqrt((V[:, known] ** 2 / S[known]).sum(1)) / size
+    return np.where((V[:, ~known] ** 2).sum(1) > RANK, np.inf, errors)
 
 
 def assess(

@@ -74,7 +74,7 @@ print('programs', *sorted(ours))
 """
 )
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "equilibrium_of", "integrate"]
-DRIVERS += ["_begin", "_placed", "_step", "residual_and_jacobian"]  # of a fit by optax
+DRIVERS += ["_begin", "placed", "_step", "residual_and_jacobian"]  # of a fit by optax
 
 
 def programs(script, *arguments):
@@ -98,7 +98,7 @@ def test_the_example_contract_compiles_one_program_for_each_driver():
 def test_the_script_of_readme_compiles_its_drivers_only():
     """And those of its own solve by diffrax, two single operations among them."""
     own = ["<lambda>", "<lambda>", "bitwise_or", "convert_element_type", "motion"]
-    fit = ["_begin", "_placed", "_step", "residual_and_jacobian"]
+    fit = ["_begin", "placed", "_step", "residual_and_jacobian"]
     drivers = ["_evaluate", "_excitation", "_linearize", "drawn_reference", "integrate"]
     assert programs(README) == sorted(own + fit + drivers)
 

@@ -1,0 +1,123 @@
+"""The information of each candidate for a measurement, and of what is known before.
+
+M_i = J_i'J_i,    J_i the rows of the Jacobian of the residuals that belong to the candidate
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import float_array
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.fitting.experiments.measurements import Measurement, records_of
+from jaxbody.fitting.fit_results import Fit
+from jaxbody.fitting.fitters import check_runs
+from jaxbody.fitting.parameters.spaces import Space
+from jaxbody.fitting.planning.expected_fits import planned
+from jaxbody.fitting.residuals import residual_and_jacobian
+
+
+class Candidates(NamedTuple):
+    """Names (N), information M (draws, N, p, p), information before `base` (draws, p, p), and the
+    names of the p parameters."""
+
+    names: list[str]
+    M: np.ndarray
+    base: np.ndarray
+    labels: list[str]
+
+
+def candidates_of(
+    given: Any, existing: Any, each: str, draws: int, parameters: Any, key: Any
+) -> Candidates:
+    """Return the candidates of `choose`, whose arguments these are."""
+    kinds = {isinstance(x, Measurement) for x in given.values()} if isinstance(given, dict) else ()
+    if kinds == {False}:
+        return _of_jacobians(given, existing, parameters)
+    if kinds == {True} and isinstance(existing, Fit):
+        check_runs(existing.model, given, "choose.candidates", plans=True)
+        space, own = existing.task.space.of_model(given)
+        u = np.asarray(existing.u)[own]
+        return _of_plans(space, u, existing, existing.information, each, draws, key)
+    if isinstance(given, Fit) and existing is None:
+        space = given.task.space
+        nothing = np.zeros((space.size, space.size))
+        return _of_plans(space, np.asarray(given.u), given, nothing, each, draws, key)
+    raise JaxbodyError(
+        Problem(
+            "WRONG_KIND",
+            "choose.candidates",
+            f"are {given!r:.60}",
+            given,
+            "expected_fit(...), or {name: plan} with existing=fit, or {name: Jacobian}",
+        )
+    )
+
+
+def _of_jacobians(given: dict[str, Any], existing: Any, parameters: Any) -> Candidates:
+    with Problems() as problems:
+        J = {f"choose.candidates['{name}']": x for name, x in given.items()}
+        J |= {} if existing is None else {"choose.existing": existing}
+        J = {where: np.asarray(float_array(x, where)) for where, x in J.items()}
+        count = {x.shape[-1:] for x in J.values()}
+        for where, x in J.items():
+            if not 1 <= x.ndim <= 3 or len(count) > 1:
+                problems.add(
+                    "BAD_SHAPE",
+                    where,
+                    f"has shape {x.shape}",
+                    value=x.shape,
+                    limit="(p,), (rows, p) or (draws, rows, p), with the same p for all",
+                )
+            elif not np.isfinite(x).all():
+                problems.add("NON_FINITE", where, "is not finite", limit="finite")
+    M = [np.swapaxes(x, -1, -2) @ x for x in map(np.atleast_2d, J.values())]
+    M = np.array(np.broadcast_arrays(*(x.reshape(-1, *x.shape[-2:]) for x in M)))
+    base = M[-1] if existing is not None else np.zeros_like(M[0])
+    labels = list(map(str, parameters or range(M.shape[-1])))
+    return Candidates(list(given), np.moveaxis(M[: len(given)], 0, 1), base, labels)
+
+
+def _of_plans(
+    space: Space, u: np.ndarray, fit: Fit, known: np.ndarray, each: str, draws: int, key: Any
+) -> Candidates:
+    """Return the sensors or the runs of plans, linearized at u or at draws from what is known."""
+    integration = fit.task.integration
+    groups: dict[str, list[np.ndarray]] = {}
+
+    def evaluated(u: np.ndarray) -> np.ndarray:
+        task = planned(space, jnp.asarray(u), integration)
+        groups.clear()
+        for record in records_of(task.space.runs):
+            name = record.run if each == "run" else record.group.rsplit(" ", 1)[0]
+            groups.setdefault(name, []).append(record.rows)
+        return np.asarray(residual_and_jacobian(task, jnp.asarray(u))[1])
+
+    def squares(J: np.ndarray) -> np.ndarray:
+        parts = [J[np.concatenate(rows)] for rows in groups.values()]
+        return np.array([part.T @ part for part in parts])
+
+    J = [evaluated(u)]
+    priors = J[0][sum(rows.size for group in groups.values() for rows in group) :]
+    base = known + priors.T @ priors
+    if draws:
+        if np.linalg.matrix_rank(base, hermitian=True) < len(base):
+            raise JaxbodyError(
+                Problem(
+                    "UNDETERMINED",
+                    "choose.draws",
+                    "need all parameters to be known before, by priors or by a fit",
+                    hint="Give priors, or leave out draws=.",
+                )
+            )
+        seed = np.asarray(jax.random.key_data(jax.random.key(0) if key is None else key)).ravel()
+        points = np.random.default_rng(seed).multivariate_normal(u, np.linalg.inv(base), draws)
+        J = [evaluated(point) for point in points]
+    return Candidates(
+        list(groups),
+        np.array([squares(x) for x in J]),
+        np.broadcast_to(base, (len(J), *base.shape)),
+        space.names,
+    )
