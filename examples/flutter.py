@@ -121,7 +121,7 @@ print({path: round(float(value), 3) for path, value in design.values.items()}, d
 # %%
 cases = {"light dampers": ("C1", jb.replace(bare, light)), "tuned": ("C0", design.model)}
 pressures, begins = np.linspace(0.0, 9e3, 226), {}
-track = jb.jit(lambda model: jb.track_modes(lambda Q: small_motions(model, Q), pressures))
+track = jb.jit(lambda model: jb.vibration.track_modes(lambda Q: small_motions(model, Q), pressures))
 mean = (m * (kt - e * pressures) + kh * I - S * pressures) / (2 * (m * I - S**2))
 product = kh * (kt - e * pressures) / (m * I - S**2)
 split = np.emath.sqrt(mean**2 - product)

@@ -276,7 +276,7 @@ def cases():
 def branches():
     stiffness = jnp.linspace(1.5e4, 4e4, 26)
     half = jb.presets.half_car()
-    return jb.track_modes(
+    return jb.vibration.track_modes(
         lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference),
         stiffness,
     )

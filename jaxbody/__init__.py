@@ -100,7 +100,6 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
         "linearize",
         "modes",
         "random_response",
-        "track_modes",
     ),
     "views": ("view",),
 }

@@ -108,7 +108,6 @@ from jaxbody.vibration import frequency_response as frequency_response
 from jaxbody.vibration import linearize as linearize
 from jaxbody.vibration import modes as modes
 from jaxbody.vibration import random_response as random_response
-from jaxbody.vibration import track_modes as track_modes
 from jaxbody.views import plots as plots
 from jaxbody.views import view as view
 

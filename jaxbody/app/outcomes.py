@@ -372,7 +372,7 @@ def track_modes(study: Study, options: argparse.Namespace) -> Outcome:
         model = jb.replace(study.model, {path: value / factor})
         return jb.linearize(model, jb.equilibrium(model))
 
-    branches = jb.track_modes(linearized, values * factor)
+    branches = jb.vibration.track_modes(linearized, values * factor)
     return Outcome([branches, f"value: {path} [{unit}]"])
 
 

@@ -163,7 +163,7 @@ def track_modes(
     >>> def linearized(stiffness):
     ...     model = jb.replace(car, {"front spring.stiffness": stiffness})
     ...     return jb.linearize(model, jb.equilibrium(model))
-    >>> jb.track_modes(linearized, [1.8e4, 2.2e4, 2.6e4]).order.tolist()
+    >>> jb.vibration.track_modes(linearized, [1.8e4, 2.2e4, 2.6e4]).order.tolist()
     [[0, 1], [0, 1], [0, 1]]
     """
     given = float_array(values, "track_modes.values")

@@ -294,7 +294,7 @@ def test_the_modes_of_the_engine(monkeypatch):
             names["engine"].reference,
         )
 
-    assert jb.track_modes(between, np.linspace(0.0, 1.0, 21)).ok.all()
+    assert jb.vibration.track_modes(between, np.linspace(0.0, 1.0, 21)).ok.all()
 
 
 @pytest.mark.long

@@ -91,7 +91,7 @@ def test_hop_and_tramp_have_names_of_their_own_everywhere(car):
 @pytest.mark.long
 def test_branches_are_named_by_their_modes_at_the_first_value(car):
     half = jb.presets.half_car()
-    computed = jb.track_modes(
+    computed = jb.vibration.track_modes(
         lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference),
         [1.8e4, 2.6e4],
     )

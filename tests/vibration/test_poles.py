@@ -359,7 +359,7 @@ def test_a_top_that_hangs_is_followed_over_its_speed():
     body = jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
     model = jb.Model(bodies={"top": body}, joints={"top": jb.Ball("world")}, gravity=[0, 0, -9.81])
     speeds = np.linspace(0.0, 40.0, 5)
-    result = jb.track_modes(
+    result = jb.vibration.track_modes(
         lambda speed: jb.vibration.linearize_spin(
             model, jb.State(model.reference.q, jnp.array([0.0, 0.0, 1.0]) * speed)
         ),
@@ -546,7 +546,7 @@ def crossing():
 )
 def test_modes_are_followed_through_crossings(crossing, values):
     """Also where a value lies on a crossing, also where the first one does."""
-    result = jb.track_modes(crossing, values)
+    result = jb.vibration.track_modes(crossing, values)
     assert result.ok.all() and result.frequency.shape == (len(values), 3)
     columns = 4 * np.pi**2 * np.asarray(result.frequency).T ** 2
     for expected in (values, 200.0 + 0 * values, 300.0 + 0 * values):
@@ -557,7 +557,7 @@ def test_modes_are_followed_through_crossings(crossing, values):
 @pytest.mark.long
 def test_following_is_differentiable(crossing):
     k = jnp.array([100.0, 250.0, 350.0])
-    rows = jax.jacrev(lambda k: jb.track_modes(crossing, k).frequency)(k)
+    rows = jax.jacrev(lambda k: jb.vibration.track_modes(crossing, k).frequency)(k)
     slope = 1 / (4 * np.pi * np.sqrt(k))
     assert max_difference(rows[:, 0, :], np.diag(slope)) < 1e-12 and np.abs(rows[:, 1:]).max() == 0
 
@@ -588,11 +588,11 @@ def test_lost_branches_are_reported():
         return jb.linearize(model, model.reference)
 
     with pytest.warns(jb.JaxbodyWarning, match="LOST_BRANCH"):
-        result = jb.track_modes(turned, [0.0, 0.4, 1.3])
+        result = jb.vibration.track_modes(turned, [0.0, 0.4, 1.3])
     assert np.asarray(result.status).tolist() == [0, 0, int(Status.LOST_BRANCH)]
     assert (
-        refused(jb.track_modes, turned, [[0.0]]) == "BAD_SHAPE"
-        and refused(jb.track_modes, turned, [0.0, np.nan]) == "NON_FINITE"
+        refused(jb.vibration.track_modes, turned, [[0.0]]) == "BAD_SHAPE"
+        and refused(jb.vibration.track_modes, turned, [0.0, np.nan]) == "NON_FINITE"
     )
 
 
@@ -604,7 +604,7 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
         jb.vibration.mode_energies(engine),
         jb.vibration.elastic_axes(engine, "engine"),
     )
-    followed = jb.track_modes(crossing, np.linspace(100, 400, 7))
+    followed = jb.vibration.track_modes(crossing, np.linspace(100, 400, 7))
     assert complex(damped.to_xarray()["pole"].sel(mode=2)[0]) == complex(damped.poles[1, 0])
     share = energies.to_xarray()["kinetic"].sel(body="engine", direction="about x", mode=6)
     assert float(share) == float(energies.kinetic["engine"][3, 5]) and share.attrs["units"] == "%"

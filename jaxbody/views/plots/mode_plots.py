@@ -105,7 +105,7 @@ def plot_tracked_modes(branches: Branches, *, parameter: str = "parameter", ax: 
     the parameter, with its unit.
 
     >>> car = jb.presets.half_car()
-    >>> found = jb.track_modes(
+    >>> found = jb.vibration.track_modes(
     ...     lambda k: jb.linearize(jb.replace(car, {"front spring.stiffness": k}), car.reference),
     ...     jnp.linspace(1.5e4, 4e4, 6),
     ... )

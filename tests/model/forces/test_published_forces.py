@@ -137,7 +137,7 @@ def test_track_modes_follows_the_section_into_flutter():
         model = jb.replace(still, {"air.pressure": Q})
         return jb.linearize(model, model.reference)
 
-    branches = jb.track_modes(at, np.linspace(0.0, 4700.0, 30))
+    branches = jb.vibration.track_modes(at, np.linspace(0.0, 4700.0, 30))
     hertz = np.asarray(branches.frequency)
     np.testing.assert_allclose(hertz[0], (3.12451513087, 5.85577439261), rtol=1e-10)
     assert hertz[-1, 1] - hertz[-1, 0] < 0.5 and (np.diff(hertz[:, 0]) > 0).all()
