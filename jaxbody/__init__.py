@@ -66,6 +66,7 @@ _NAMES = {  # that a first script needs; `python tests/stubs.py` writes the stub
         "diagnose",
         "expected_fit",
         "fit",
+        "posterior",
         "validate",
     ),
     "geometry.fields": ("field",),

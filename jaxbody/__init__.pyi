@@ -37,6 +37,7 @@ from jaxbody.fitting import diagnose as diagnose
 from jaxbody.fitting import expected_fit as expected_fit
 from jaxbody.fitting import fit as fit
 from jaxbody.fitting import modal as modal
+from jaxbody.fitting import posterior as posterior
 from jaxbody.fitting import validate as validate
 from jaxbody.geometry import closures as closures
 from jaxbody.geometry.fields import field as field

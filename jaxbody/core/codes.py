@@ -120,6 +120,8 @@ FAR_OFF: the fitted model does not explain a record -> check units, signs, axes 
     message says, then start nearer
 FILE_VERSION: a model file states no version of its format, or a newer one -> write jaxbody = 1, or
     install a newer jaxbody
+FLAT_PRIOR: an evidence needs a normalized prior of every unknown -> give the priors that the
+    message names to posterior
 FLOAT32: float32 has too few digits here -> jax.config.update("jax_enable_x64", True) before
     anything else
 FREQUENCY: the first natural frequency is unusual -> check the units of mass and stiffness

@@ -24,6 +24,8 @@ EXTRAS = {
     "loky": "cluster",
     "zarr": "cluster",
     "rainflow": "fatigue",
+    "arviz_stats": "posterior",
+    "blackjax": "posterior",
 }
 EXTRAS |= dict.fromkeys(("h5py", "nptdms", "pyarrow", "pyuff"), "files") | dict.fromkeys(
     ("imageio_ffmpeg", "viser"), "view"

@@ -4,7 +4,8 @@ a frequency or a response.
     v = G C G',    G = df/du
 
 v is the variance of a result f to first order, u are the transformed free parameters (`transforms`)
-and C is their covariance; bounds use Student's t. Alternatively, f is evaluated for random u.
+and C is their covariance; bounds use Student's t. Alternatively, f is evaluated for random u, or
+for draws from a posterior.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ from jaxbody.core.compilation.compile_options import jit
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.fitting.fit_results import Fit, widening
+from jaxbody.fitting.posteriors import Posterior
 from jaxbody.fitting.statistics.uncertainties import check_level, quantile
 from jaxbody.model.models import Model
+
+DRAWS = 1000  # from a posterior, if no number is given
 
 
 class Bands(Result):
@@ -56,7 +60,7 @@ class Bands(Result):
 
 
 def confidence_bands(
-    fit: Fit,
+    fit: Fit | Posterior,
     function: Callable[[Model], Any],
     *,
     level: float = 0.95,
@@ -66,13 +70,14 @@ def confidence_bands(
     """Return value, standard error and confidence interval of a JAX function of the fitted model.
 
     Args:
-        fit: the result of `fit`.
+        fit: the result of `fit`, or of `posterior`: the value is then the mean of the draws, and
+            bounds are their quantiles.
         function: model -> array of real numbers of any shape.
         level: confidence level of the interval.
         samples: number of random draws of the parameters, to be used instead of derivatives if the
             function is nonlinear within the interval; the bounds are then quantiles of the draws.
-            By default derivatives are used.
-        key: random key of the draws, for instance jax.random.key(0).
+            By default derivatives are used, and at most 1000 draws of a posterior.
+        key: random key of the draws, for instance jax.random.key(0); not for a posterior.
 
     Equal natural frequencies have no individual derivatives: use their sum or mean, a response, or
     draws.
@@ -103,7 +108,10 @@ def confidence_bands(
     """
     check_level(level, "confidence_bands.level")
     with Problems() as problems:
-        check_key(key, "confidence_bands.key", problems, "" if samples is None else "Draws need")
+        needed = samples is not None and isinstance(fit, Fit)
+        check_key(key, "confidence_bands.key", problems, "Draws need" if needed else "")
+    posterior = fit if isinstance(fit, Posterior) else None
+    fit = fit.fit if isinstance(fit, Posterior) else fit
     uncertainty = fit._assessed()
     f = jit(lambda u: function(fit.task.space.place(u)[0]))
     value = f(fit.u)
@@ -121,8 +129,16 @@ def confidence_bands(
             )
         )
     value = np.asarray(value, float)
-    if samples is not None:
-        error, low, high, finite = _drawn(fit, f, level, samples, key)
+    if posterior is not None or samples is not None:
+        draws = (
+            posterior.drawn(samples or DRAWS)
+            if posterior is not None
+            else _normal(fit, samples, key)
+        )
+        drawn = np.asarray(jax.lax.map(f, jnp.asarray(draws), batch_size=min(len(draws), 64)))
+        finite, error = np.isfinite(drawn).all(0), drawn.std(0, ddof=1)
+        low, high = np.nanquantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
+        value = value if posterior is None else drawn.mean(0)
         freedom = np.full(value.shape, np.inf)
     else:
         G = np.asarray(jit(jax.jacfwd(f))(fit.u)).reshape(value.size, len(fit.u))
@@ -146,10 +162,8 @@ def confidence_bands(
     )
 
 
-def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
-    """Evaluate f(u) for random draws of u from its normal distribution. Return standard deviation,
-    lower and upper quantile of each number of f, and which numbers are finite. Error:
-    UNDETERMINED."""
+def _normal(fit: Fit, samples: Any, key: Any) -> Float[Array, "samples n"]:
+    """Return random draws of u from its normal distribution. Error: UNDETERMINED."""
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):
         raise JaxbodyError(
@@ -164,10 +178,4 @@ def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
         )
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    u: Float[Array, "samples n"] = (
-        jnp.asarray(fit.u)[None] + jax.random.normal(key, (samples, len(values))) @ root.T
-    )
-    drawn = np.asarray(jax.lax.map(f, u, batch_size=min(samples, 64)))
-    finite = np.isfinite(drawn).all(0)
-    low, high = np.nanquantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return drawn.std(0, ddof=1), low, high, finite
+    return jnp.asarray(fit.u)[None] + jax.random.normal(key, (samples, len(values))) @ root.T

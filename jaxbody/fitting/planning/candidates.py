@@ -16,6 +16,7 @@ from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import check_runs
 from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.planning.expected_fits import planned
+from jaxbody.fitting.posteriors import Posterior
 from jaxbody.fitting.residuals import residual_and_jacobian
 
 
@@ -36,22 +37,24 @@ def candidates_of(
     kinds = {isinstance(x, Measurement) for x in given.values()} if isinstance(given, dict) else ()
     if kinds == {False}:
         return _of_jacobians(given, existing, parameters)
-    if kinds == {True} and isinstance(existing, Fit):
-        check_runs(existing.model, given, "choose.candidates", plans=True)
-        space, own = existing.task.space.of_model(given)
-        u = np.asarray(existing.u)[own]
-        return _of_plans(space, u, existing, existing.information, each, draws, key)
+    if kinds == {True} and isinstance(existing, Fit | Posterior):
+        fit = existing if isinstance(existing, Fit) else existing.fit
+        check_runs(fit.model, given, "choose.candidates", plans=True)
+        space, own = fit.task.space.of_model(given)
+        sampled = existing.drawn(draws)[:, own] if isinstance(existing, Posterior) else None
+        known = existing.information
+        return _of_plans(space, np.asarray(fit.u)[own], fit, known, each, draws, key, sampled)
     if isinstance(given, Fit) and existing is None:
         space = given.task.space
         nothing = np.zeros((space.size, space.size))
-        return _of_plans(space, np.asarray(given.u), given, nothing, each, draws, key)
+        return _of_plans(space, np.asarray(given.u), given, nothing, each, draws, key, None)
     raise JaxbodyError(
         Problem(
             "WRONG_KIND",
             "choose.candidates",
             f"are {given!r:.60}",
             given,
-            "expected_fit(...), or {name: plan} with existing=fit, or {name: Jacobian}",
+            "expected_fit(...), or {name: plan} with existing=, or {name: Jacobian}",
         )
     )
 
@@ -81,9 +84,17 @@ def _of_jacobians(given: dict[str, Any], existing: Any, parameters: Any) -> Cand
 
 
 def _of_plans(
-    space: Space, u: np.ndarray, fit: Fit, known: np.ndarray, each: str, draws: int, key: Any
+    space: Space,
+    u: np.ndarray,
+    fit: Fit,
+    known: np.ndarray,
+    each: str,
+    draws: int,
+    key: Any,
+    sampled: np.ndarray | None,
 ) -> Candidates:
-    """Return the sensors or the runs of plans, linearized at u or at draws from what is known."""
+    """Return the sensors or the runs of plans, linearized at u or at draws: those `sampled` from a
+    posterior, or else from a normal distribution with what is known before."""
     integration = fit.task.integration
     groups: dict[str, list[np.ndarray]] = {}
 
@@ -102,7 +113,7 @@ def _of_plans(
     J = [evaluated(u)]
     priors = J[0][sum(rows.size for group in groups.values() for rows in group) :]
     base = known + priors.T @ priors
-    if draws:
+    if draws and sampled is None:
         if np.linalg.matrix_rank(base, hermitian=True) < len(base):
             raise JaxbodyError(
                 Problem(
@@ -113,8 +124,9 @@ def _of_plans(
                 )
             )
         seed = np.asarray(jax.random.key_data(jax.random.key(0) if key is None else key)).ravel()
-        points = np.random.default_rng(seed).multivariate_normal(u, np.linalg.inv(base), draws)
-        J = [evaluated(point) for point in points]
+        sampled = np.random.default_rng(seed).multivariate_normal(u, np.linalg.inv(base), draws)
+    if draws and sampled is not None:
+        J = [evaluated(point) for point in sampled]
     return Candidates(
         list(groups),
         np.array([squares(x) for x in J]),

@@ -17,6 +17,7 @@ _NAMES = {
         "plot_history",
         "plot_interval_coverage",
         "plot_multistart",
+        "plot_posterior",
         "plot_profile_likelihood",
     ),
     "measured_plots": (

@@ -9,6 +9,7 @@ from jaxbody.views.plots.fit_plots import plot_correlations as plot_correlations
 from jaxbody.views.plots.fit_plots import plot_history as plot_history
 from jaxbody.views.plots.fit_plots import plot_interval_coverage as plot_interval_coverage
 from jaxbody.views.plots.fit_plots import plot_multistart as plot_multistart
+from jaxbody.views.plots.fit_plots import plot_posterior as plot_posterior
 from jaxbody.views.plots.fit_plots import plot_profile_likelihood as plot_profile_likelihood
 from jaxbody.views.plots.measured_plots import plot_confidence_bands as plot_confidence_bands
 from jaxbody.views.plots.measured_plots import plot_diagnosis as plot_diagnosis

@@ -1,5 +1,5 @@
 """Plots of fits: the history of the cost, correlations of the estimates, autocorrelations of the
-residuals, likelihood profiles, optima."""
+residuals, likelihood profiles, posteriors, optima."""
 
 from itertools import pairwise
 from typing import Any
@@ -11,15 +11,19 @@ from jaxbody.fitting.coverages import Coverage
 from jaxbody.fitting.experiments.measurements import records_of
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.multistarts import CLOSE, Multistart
+from jaxbody.fitting.parameters.transforms import Elementwise
+from jaxbody.fitting.posteriors import Posterior
 from jaxbody.fitting.profiles import Profile
 from jaxbody.fitting.residuals import residual_and_jacobian
 from jaxbody.fitting.statistics.autocorrelations import FEWEST, most_lags, products
 from jaxbody.fitting.statistics.noises import ResidualSeries
 from jaxbody.fitting.validations import Validation
-from jaxbody.views.plots.canvases import axes_below, axes_or_new, heat_map, legend, with_unit
+from jaxbody.views.plots.canvases import axes_below, axes_or_new, heat_map, legend, tidy, with_unit
 from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 
 COMPLEX = ("real", "imaginary")
+PAIRS, SHOWN = 5, 500  # most numbers whose pairs are drawn; draws of each chain that are shown
+INNER = (5e-4, 1 - 5e-4)  # quantiles of draws between which a histogram is drawn
 
 
 def plot_history(fit: Fit, *, ax: Any = None) -> Any:
@@ -245,10 +249,12 @@ def plot_multistart(result: Multistart, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
+def plot_profile_likelihood(
+    profile: Profile, *, draws: Posterior | None = None, ax: Any = None
+) -> Any:
     """Draw tau, the signed square root of the normalized increase of the cost in a likelihood
     profile, over the parameter, with the confidence interval, in which tau is between the dashed
-    lines.
+    lines; with `draws`, a posterior, also a histogram of its draws.
 
     The curve is a straight line if the likelihood is that of a normal distribution.
 
@@ -279,6 +285,15 @@ def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
     if low is not None and high is not None:
         ax.axvspan(low, high, color=LIGHT, alpha=0.5, lw=0, zorder=0)
     ax.axvline(profile.estimate, color=INK, lw=0.8)
+    if draws is not None:
+        numbers = draws.numbers()
+        check_known(profile.path, "plot_profile_likelihood.draws", numbers)
+        behind = ax.twinx()
+        _histogram(behind, numbers[profile.path][0])
+        behind.set(yticks=[], ylim=(0, 1.6 * behind.get_ylim()[1]))
+        behind.spines[["top", "right"]].set_visible(False)
+        ax.set_zorder(behind.get_zorder() + 1)
+        ax.patch.set_visible(False)
     ax.set(
         xlabel=with_unit(profile.path, profile.unit),
         ylabel=r"$\tau$ [standard errors]",
@@ -290,6 +305,101 @@ def plot_profile_likelihood(profile: Profile, *, ax: Any = None) -> Any:
     ax.title.set_fontsize(9)
     ax.xaxis.get_major_locator().set_params(nbins=5)  # few ticks, as the numbers are long
     return ax
+
+
+def plot_posterior(posterior: Posterior, *, ax: Any = None) -> Any:
+    """Draw histograms of the draws of each parameter, with the normal approximation of the fit and
+    the prior, and for up to five numbers the draws of each pair.
+
+    >>> spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = jb.Model(
+    ...     bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...     elements={"spring": spring},
+    ...     joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+    ... )
+    >>> tests = {
+    ...     f"test {i}": jb.MeasuredModes(frequency=[f], noise={"frequency": 0.02})
+    ...     for i, f in enumerate([0.99, 1.02, 1.0])
+    ... }
+    >>> fitted = jb.fit(model, tests, free=["spring.stiffness"])
+    >>> drawn = jb.posterior(fitted, draws=500)
+    >>> len(jb.plots.plot_posterior(drawn).child_axes)  # its panels
+    1
+    """
+    numbers, curves = posterior.numbers(), _curves(posterior)
+    names, pairs = list(numbers), len(numbers) <= PAIRS
+    columns = len(names) if pairs else min(len(names), 4)
+    rows = columns if pairs else -(-len(names) // columns)
+    ax = axes_or_new(ax, 1.2 + 2.2 * columns, 0.9 + 2.0 * rows)
+    ax.set_axis_off()
+    for i, name in enumerate(names):
+        x, unit = numbers[name]
+        row, column = (i, i) if pairs else divmod(i, columns)
+        panel = _panel(ax, row, column, rows, columns)
+        _histogram(panel, x)
+        for label, color, (at, density) in curves.get(name, []):
+            panel.plot(at, density, color=color, lw=1.2, label=label)
+        panel.set(yticks=[], xlim=np.quantile(x, INNER), xlabel=with_unit(name, unit))
+        if i == 0:
+            panel.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(0, 1.25))
+        for j in range(i) if pairs else ():
+            pair = _panel(ax, i, j, rows, columns)
+            pair.plot(
+                numbers[names[j]][0][:, :SHOWN].ravel(), x[:, :SHOWN].ravel(), ",", color=COLORS[0]
+            )
+            pair.set(ylabel=with_unit(name, unit), xlabel=with_unit(names[j], numbers[names[j]][1]))
+    return ax
+
+
+def _panel(ax: Any, row: int, column: int, rows: int, columns: int) -> Any:
+    width, height = 1 / columns, 1 / rows
+    panel = ax.inset_axes(
+        (
+            (column + 0.16) * width,
+            1 - (row + 0.78) * height,
+            0.72 * width,
+            0.66 * height,
+        )
+    )
+    tidy(panel)
+    panel.tick_params(labelsize=7)
+    panel.xaxis.label.set_fontsize(8)
+    panel.yaxis.label.set_fontsize(8)
+    panel.locator_params(nbins=3)
+    return panel
+
+
+def _histogram(ax: Any, x: np.ndarray) -> None:
+    ax.hist(x.ravel(), bins=40, density=True, color=LIGHT, zorder=0)
+
+
+def _curves(posterior: Posterior) -> dict[str, list[tuple[str, str, tuple[Any, Any]]]]:
+    """Return {number: curves (label, color, (x, density))} of the normal approximation of the fit
+    and of the prior, of numbers that depend on one u each."""
+    density, numbers, curves = posterior.density, posterior.numbers(), {}
+    estimates = np.asarray(posterior.fit.u)
+    errors, _ = posterior.fit._assessed().spread(np.eye(len(estimates)))
+    for (parameter, own), prior in zip(density.unknowns.parts, density.priors, strict=True):
+        if not isinstance(parameter.form, Elementwise):
+            continue
+        for k, label in enumerate(parameter.form.labels()):
+            i, name, size = own.start + k, parameter.path + label, parameter.form.size
+            lines = curves.setdefault(name, [])
+            if i < len(estimates) and np.isfinite(errors[i]):
+                t = np.linspace(-4, 4, 101)
+                x, slope = np.array(
+                    [
+                        [part[k] for part in parameter.form.numbers(np.full(size, u))]
+                        for u in estimates[i] + errors[i] * t
+                    ]
+                ).T
+                normal = np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi) / (errors[i] * np.abs(slope))
+                lines.append(("fit", COLORS[0], (x, normal)))
+            if prior.mean is not None:
+                low, high = np.quantile(numbers[name][0], INNER)
+                x = np.linspace(low, high, 101)
+                lines.append(("prior", GRAY, (x, prior.density(x, k))))
+    return curves
 
 
 def plot_interval_coverage(result: Coverage, *, ax: Any = None) -> Any:

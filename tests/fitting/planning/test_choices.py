@@ -163,6 +163,31 @@ def test_what_a_run_tells_is_less_by_its_own_unknowns():
     np.testing.assert_allclose(result.before[0], first.covariance[i, i] ** 0.5, rtol=1e-8)
 
 
+def test_choices_beside_a_posterior():
+    """What is known before is the spread of its draws, over which the criterion is averaged: for
+    one frequency f, the mean of -log(1/s^2 + (f/2/noise)^2)."""
+    pytest.importorskip("blackjax")
+    pytest.importorskip("arviz_stats")
+    spring = jb.Spring("mass", ("world", [0, 0, -1.0]), stiffness=900.0, free_length=1.0)
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=9.0)},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        elements={"spring": spring},
+        gravity=[0, 0, 0],
+    )
+    test = jb.MeasuredModes(frequency=[1.6], noise={"frequency": 0.02})
+    fit = jb.fit(model, {"test": test}, free=["spring.stiffness"])
+    posterior = jb.posterior(fit, draws=400)
+    s = posterior.y[..., 0].std(ddof=1)
+    plan = {"again": jb.MeasuredModes(number=[0], noise={"frequency": 0.01})}
+    result = jb.choose(plan, n=1, existing=posterior, draws=5)
+    np.testing.assert_allclose(result.before, s, rtol=1e-9)
+    k = 900.0 * np.exp(posterior.drawn(5)[:, 0])
+    f = np.sqrt(k / 9.0) / (2 * np.pi)
+    expected = np.mean(-np.log(1 / s**2 + (f / 2 / 0.01) ** 2))
+    np.testing.assert_allclose(result.value, expected, rtol=1e-9)
+
+
 def test_what_cannot_be_chosen_is_refused(car):
     def refused(code, candidates=car, **given):
         with pytest.raises(jb.JaxbodyError) as error:
