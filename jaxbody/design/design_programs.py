@@ -1,7 +1,5 @@
 """The quantities of a design and their exact derivatives as one compiled program."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Sequence

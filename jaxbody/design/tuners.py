@@ -8,8 +8,6 @@ One function of the model returns all quantities; they and their exact derivativ
 program.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterable
 from typing import Any

@@ -8,8 +8,6 @@ and C is their covariance; bounds use Student's t. Alternatively, f is evaluated
 for draws from a posterior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -7,8 +7,6 @@ r are the residuals of a fit over the noise, u the transformed parameters (`tran
 estimates, taken as the true values. Each replicate fits a record simulated with u* and new noise e.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable
 from functools import partial

@@ -13,8 +13,6 @@ from the bound over which the cost increases as much as over t standard errors a
 with slope g and curvature h of the cost at the bound when the other parameters are adjusted.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -6,8 +6,6 @@ optimistix.
 u are the free parameters, transformed to be zero at the initial guess (`transforms`).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from functools import partial

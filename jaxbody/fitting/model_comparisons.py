@@ -10,8 +10,6 @@ Econometrics Journal 7 (2004) 143 (error); A. Vehtari, A. Gelman, J. Gabry, Stat
 27 (2017) 1413 (leaving one out).
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fits from many initial guesses in batches, and the distinct optima that they reach."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import warnings

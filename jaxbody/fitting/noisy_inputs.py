@@ -11,8 +11,6 @@ not on the real system, and least squares reduces its effect: estimates are bias
 by many standard errors.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

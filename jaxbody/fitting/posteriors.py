@@ -11,8 +11,6 @@ Source: M. Hoffman and A. Gelman, J. Machine Learning Research 15 (2014) 1593; A
 Bayesian Analysis 16 (2021) 667 (r-hat and effective sizes).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

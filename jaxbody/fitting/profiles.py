@@ -9,8 +9,6 @@ the optimum for any noise model. t is the quantile of Student's t.
 Source: D. Bates and D. Watts, Nonlinear Regression Analysis (1988), section 6.1.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

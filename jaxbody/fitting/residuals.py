@@ -9,8 +9,6 @@ initial states of every other segment of a record. Source: A. Curtis, M. Powell,
 estimation of sparse Jacobian matrices, J. Inst. Math. Appl. 13 (1974) 117.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -8,8 +8,6 @@ from its best point until the Gauss-Newton step is small. A search by optimistix
 also inside jit and vmap, differentiable in forward mode by the implicit function theorem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple

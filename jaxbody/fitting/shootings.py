@@ -10,8 +10,6 @@ Source: H. G. Bock, Recent advances in parameter identification techniques for O
 Scientific Computing 2 (1983) 95.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from collections.abc import Iterable

@@ -7,8 +7,6 @@ A fit of 100 % has no residual; 0 % is as good as the mean of the record, and be
 is better.
 """
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 import numpy as np
 

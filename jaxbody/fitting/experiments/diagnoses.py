@@ -8,8 +8,6 @@ for every channel, by least squares. Use it before a fit, with a model that is r
 would hide such errors in its estimates.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Measured small motions for fits: complex frequency responses between named inputs and named
 outputs; natural frequencies, damping ratios and mode shapes of a modal test."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any, ClassVar
 

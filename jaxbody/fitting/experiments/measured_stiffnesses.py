@@ -1,8 +1,6 @@
 """Measured dynamic stiffness of an element for fits: magnitude and loss angle by frequency, as in
 the data sheet of a mount."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

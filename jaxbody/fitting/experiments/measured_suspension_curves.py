@@ -1,8 +1,6 @@
 """Measured curves of a suspension for fits: angles and positions of a wheel over its travel and
 steering."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

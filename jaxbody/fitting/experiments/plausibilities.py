@@ -2,8 +2,6 @@
 millimeters for meters; connected frames that are drawn apart; equilibria far from the drawn
 pose."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import equinox as eqx

@@ -10,8 +10,6 @@ about their mean. Remedies for a wrong beginning are a start at rest, or leaving
 transient.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 

@@ -11,8 +11,6 @@ record.
 Source: B. Peeters, H. Van der Auweraer, F. Vanhollebeke, P. Guillaume, J. Sound Vib. 301 (2007) 19.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -12,8 +12,6 @@ Sources: W. Heylen, S. Lammens, P. Sas, Modal Analysis Theory and Testing (1997)
 R. S. Pappa, K. B. Elliott, A. Schenk, J. Guid. Contr. Dyn. 16 (1993) 852.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -9,8 +9,6 @@ leakage of the estimate is part of the model, so that it does not widen the reso
 the transform of sampled correlations e^(p k h), of which the one at zero shift counts half.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

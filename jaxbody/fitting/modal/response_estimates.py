@@ -16,8 +16,6 @@ Sources: J. S. Bendat and A. G. Piersol, Random Data, 4th ed. (2010), ch. 7 and 
 D. J. Ewins, Modal Testing, 2nd ed. (2000), ch. 3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

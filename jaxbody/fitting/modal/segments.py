@@ -7,8 +7,6 @@ so that 2 |X_s|^2 is a one-sided spectral density. Source of the averages of ove
 P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -16,8 +16,6 @@ Source: B. Peeters, H. Van der Auweraer, P. Guillaume, J. Leuridan, Shock and Vi
 395.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

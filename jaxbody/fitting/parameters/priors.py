@@ -6,8 +6,6 @@ A normal prior of a number whose domain or bounds have an end is truncated there
 positive numbers is flat in their logarithms, and uniform between two finite bounds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -12,8 +12,6 @@ gains, biases, delays  x = x0 + s u                    s: |x0| or 1; rms; sampli
 others                 x = x0 + s u                    s the largest |x0|; if zero, the model's size
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

@@ -12,8 +12,6 @@ Sources: P. Huber, E. Ronchetti, Robust Statistics, 2nd ed. (2009), sections 6.4
 R. Holland, R. Welsch, Comm. Stat. A 6 (1977) 813 (c).
 """
 
-from __future__ import annotations
-
 import math
 
 import jax
