@@ -77,7 +77,8 @@ def test_averages_over_draws(rng):
     assert jb.choose({name: x[0] for name, x in both.items()}, n=1).names == ("one",)
     assert jb.choose(both, n=1).names == ("other",)  # log 0.3 > log 0.2
     expected = -np.mean(np.log(other.ravel() ** 2))
-    np.testing.assert_allclose(jb.choose(both, n=1).value, expected, rtol=1e-12)
+    # as a part of 1e-10 of the information of all is added, so that a first choice can be compared
+    np.testing.assert_allclose(jb.choose(both, n=1).value, expected, rtol=1e-8)
 
 
 FREE = ["spring fl.stiffness", "spring rr.stiffness", "spring fl.damping", "car.mass"]
@@ -185,7 +186,7 @@ def test_choices_beside_a_posterior():
     k = 900.0 * np.exp(posterior.drawn(5)[:, 0])
     f = np.sqrt(k / 9.0) / (2 * np.pi)
     expected = np.mean(-np.log(1 / s**2 + (f / 2 / 0.01) ** 2))
-    np.testing.assert_allclose(result.value, expected, rtol=1e-9)
+    np.testing.assert_allclose(result.value, expected, rtol=1e-8)
 
 
 def test_what_cannot_be_chosen_is_refused(car):
