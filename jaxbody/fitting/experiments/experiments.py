@@ -320,7 +320,8 @@ class Experiment(Measurement):
         """Check that a sensor's delay leaves a measured sample to compare with. Error:
         BAD_DELAY."""
         sensor = self.sensors[name]
-        if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
+        arrays = sensor.delay, self.times, self.measured.get(name)
+        if any(array is None for array in arrays) or not is_concrete(arrays):
             return
         present = self.present(name).reshape(len(self.times), -1).any(1)
         if not (np.asarray(sensor.weight(self.times)) * present).any():

@@ -272,3 +272,25 @@ def test_what_is_not_determined_is_said():
     )
     assert int(fit.status) == jb.Status.NOT_IDENTIFIABLE
     assert np.isinf(list(fit.standard_errors.values())).all() and "up with" in fit.report()
+
+
+def test_plans_of_delayed_sensors_and_poses():
+    """Of a delayed record, samples from before the run tell nothing: the more of them, the less is
+    known."""
+    model, start = oscillator(0.05), jb.State(jnp.array([0.01]), jnp.zeros(1))
+
+    def error(delay):
+        sensors = {
+            "x": jb.Position("mass", axis="z", delay=delay),
+            "pose": jb.sensors.BodyPose("mass"),
+        }
+        run = jb.Experiment(
+            jnp.linspace(0.0, 1.0, 101),
+            sensors=sensors,
+            initial=start,
+            noise={"x": 1e-4, "pose": (1.0, 1.0)},
+        )
+        fit = jb.expected_fit(model, {"run": run}, free=["spring.stiffness"])
+        return float(fit.standard_errors["spring.stiffness"])
+
+    assert error(0.0) < error(0.1) < error(0.4)
