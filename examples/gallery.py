@@ -396,6 +396,24 @@ def multistart():
     )
 
 
+def choice():
+    """Of accelerometers all over a car on a rig, those that tell most of a spring, a damper and
+    the mass."""
+    places = [(x, y) for x in (-1.8, -0.9, 0.0, 0.9, 1.8) for y in (-0.8, 0.0, 0.8)]
+    rig = jb.MeasuredResponse(
+        np.geomspace(0.7, 15.0, 12),
+        inputs={"road": jb.BaseMotion("road fl", "z")},
+        outputs={
+            f"{x:g} m, {y:g} m": jb.Acceleration("car", [x, y, 0.0], axis="z") for x, y in places
+        },
+        noise=1.0,
+    )
+    free = ["spring fl.stiffness", "spring rr.stiffness", "spring fl.damping", "car.mass"]
+    return jb.choose(
+        jb.expected_fit(car(), {"rig": rig}, free=free), n=4, criterion="largest interval"
+    )
+
+
 def modes_of_car():
     return jb.modes(small_motions())
 
@@ -465,6 +483,7 @@ PICTURES = {
     "validation": lambda: validation().plot(),
     "multistart": lambda: multistart().plot(),
     "profile": lambda: jb.fitting.profile_likelihood(fitted(), "spring.damping").plot(),
+    "choice": lambda: choice().plot(),
     "tuning": lambda: jb.tune(
         quarter(),
         ride,

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxbody.core.errors import JaxbodyError
 from jaxbody.core.printed_tables import PrintedTable, Words, in_units, printed_unit, text_in
 from jaxbody.core.tables import counted, number, without_dust
 from jaxbody.design.tuning_results import Tuning
 from jaxbody.fitting import fit_results, validations
+from jaxbody.fitting.planning.further_measurements import further_measurements
 from jaxbody.geometry.fields import MATRICES, Described, kind_of, text_of, units_of
 from jaxbody.mechanics import equilibria, forces_at_rest, static_load_cases
 from jaxbody.model.models import Model
@@ -52,6 +54,19 @@ def sentences(result: Any, words: Words) -> list[str]:
     say = partial(in_words, words=words)
     says = [says for kind, says in SENTENCES.items() if isinstance(result, kind)]
     return says[0](result, say)[:MOST_LISTED] if says and not batch else []
+
+
+def tables_of(result: Any) -> list[PrintedTable]:
+    """Return the tables of a result; for a fit also which further measurements would help most, or
+    a note that says why this is not known."""
+    shown = result._tables()
+    if not isinstance(result, fit_results.Fit) or result.uncertainty is None:
+        return shown
+    try:
+        return [*shown, *further_measurements(result)._tables()]
+    except JaxbodyError as error:
+        nothing = PrintedTable("Further measurements", ("measurement",), [], f"not known: {error}")
+        return [*shown, nothing]
 
 
 def _listed(names: Any, what: str = "") -> str:

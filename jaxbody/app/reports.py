@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.app.outcomes import fitting_modes
-from jaxbody.app.report_contents import fitting, inputs, matrices, sentences
+from jaxbody.app.report_contents import fitting, inputs, matrices, sentences, tables_of
 from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.core.printed_tables import Words, text_in, unit_words
 from jaxbody.core.source_files import check_file, extension_of, writing
@@ -221,7 +221,7 @@ def _section(mark: str, name: str, result: Any, words: Words | None) -> str:
     elif isinstance(result, LinearSystem):
         tables = ""  # at the end of the report
     else:
-        tables = _tables(in_numpy(result)._tables(), words, name)
+        tables = _tables(tables_of(in_numpy(result)), words, name)
     pictures = "".join(_figure(caption, ax, words or {}) for caption, ax in _pictures(result))
     return (
         f"<section id='{mark}'><h2>{escape(name)}</h2><div class='content'>"

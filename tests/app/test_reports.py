@@ -1,12 +1,14 @@
 """Reports: what they contain, by structure and numbers; that a browser opens them without a request
 or an error."""
 
+import dataclasses
 import re
 import shutil
 import subprocess
 import time
 from pathlib import Path
 
+import equinox as eqx
 import numpy as np
 import pytest
 from browsers import opened
@@ -195,6 +197,42 @@ def test_a_fit_to_many_records_draws_those_with_the_largest_misfits(tmp_path):
         jb.report({"Fit": jb.fit(model, {"run": few}, free="sm0.stiffness")}, tmp_path / "few.html")
     )
     assert len(page.pictures) == 1 and not any("are drawn" in note for note in page.notes)
+
+
+@pytest.fixture(scope="module")
+def tapped():
+    """The fit of a mass on a spring to its natural frequency, which determines neither alone."""
+    car = jb.presets.quarter_car(damping=1500.0)
+    tap = jb.MeasuredModes(number=[0], noise={"frequency": 0.01})
+    return jb.expected_fit(car, {"tap": tap}, free=["body.mass", "suspension.stiffness"])
+
+
+def test_a_report_of_a_fit_says_what_to_measure_next(tapped, tmp_path):
+    """The numbers of further_measurements, and with it both are determined."""
+    page = Page(jb.report({"Fit": tapped}, tmp_path / "fit.html"))
+    table = next(table for table in page.tables if table[0][-1] == "not determined")
+    further = jb.fitting.further_measurements(tapped)
+    names = ("none", *further.measurements)
+    assert [row[0] for row in table[1:]] == list(names) and len(names) > 2
+    assert table[1][1:] == ["", "body.mass, suspension.stiffness"] and table[2][2] == "none"
+    assert float(table[2][1].split(",")[0]) == pytest.approx(further.after[0].max(), rel=1e-2)
+
+
+def test_a_report_of_a_fit_says_why_it_does_not_know_what_to_measure_next(tmp_path):
+    """A thrown body has no equilibrium and so no responses; a simulation that needs more steps than
+    it may take predicts nothing."""
+    model, times = jb.Model(bodies={"ball": jb.Body(2.0, [1, 1, 1])}), np.linspace(0, 1, 21)
+    push = jb.Force("ball", force=jb.signals.Sine(amplitude=[0, 0, 9.0], frequency=1.0))
+    sensors = {"a": jb.Acceleration("ball", axis="z")}
+    run = jb.Experiment(times, sensors=sensors, noise=0.1, loads={"push": push})
+    fit = jb.expected_fit(model, {"run": run}, free=["ball.mass"])
+    assert jb.fitting.further_measurements(fit).measurements == ("position of ball along z in run",)
+    few = dataclasses.replace(fit.task.integration, max_steps=1)
+    fit = eqx.tree_at(lambda x: x.task.integration, fit, few)
+    page = Page(jb.report({"Fit": fit}, tmp_path / "fit.html"))
+    assert any(
+        note.startswith("not known: plans['run']: has no finite prediction") for note in page.notes
+    )
 
 
 @pytest.fixture(scope="module")

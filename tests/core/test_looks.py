@@ -15,7 +15,10 @@ from controlled_cars import OUTPUTS, ROAD, SPEED, WHITE, quarter_car
 import jaxbody as jb
 from jaxbody.core.results import Result
 from jaxbody.fitting.coverages import Coverage
+from jaxbody.fitting.model_comparisons import Evidence, LeaveOneOut
 from jaxbody.fitting.multistarts import Multistart
+from jaxbody.fitting.planning.further_measurements import FurtherMeasurements
+from jaxbody.fitting.posteriors import Posterior, prepared
 from jaxbody.mechanics.load_paths import Path
 from jaxbody.mechanics.several_equilibria import Equilibria
 from jaxbody.mechanics.static_load_cases import LoadCases
@@ -107,6 +110,11 @@ def made():
         jnp.ones((1, 2, 3)),
         2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)],
     )
+    ok, density = np.asarray(0), prepared(result, None)[0]
+    y = np.random.default_rng(0).normal(0, 1e-3, (2, 8, len(density.unknowns.labels)))
+    numbers = density.unknowns.values(jnp.zeros(y.shape[2]))
+    drawn = {path: np.broadcast_to(x, (2, 8, *np.shape(x))) for path, x in numbers.items()}
+    each = np.ones(y.shape[2])
     o, i = jnp.ones(nv), jnp.zeros(nv, int)
     wheel = jb.suspension.Wheel("mass", center=[0, 0, 0], axis="y", radius=0.3)
     return [
@@ -174,6 +182,17 @@ def made():
         jb.inputs.base_motion(acceleration, "acc", axis=[1, 0, 0]),
         result,
         Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
+        Posterior(
+            result, density, y[0, 0], y, drawn, y[..., 0], each, each, each, 0, 0, np.ones(2), ok
+        ),
+        Evidence(-5.3, 0.01, ok),
+        LeaveOneOut(
+            -5.3, 0.01, np.ones(2), np.ones(2), ("run.x at t = 0 s", "run.x at t = 1 s"), ok
+        ),
+        jb.choose({"first": [1.0, 0.0], "second": [1.0, 2.0]}, n=2),
+        FurtherMeasurements(
+            ("position of mass along x in run",), tuple(free), 0.01, np.ones(1), np.ones((1, 1)), ok
+        ),
         jb.validate(result, {"later": measured(TIMES)}),
         Coverage(
             ("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)
@@ -249,7 +268,10 @@ def test_every_result_is_text_arrays_and_a_picture(results):
         assert name == "Trajectory" or f"{result.summary()}\n" == str(result), name
         assert result.to_pandas().attrs["units"].keys() >= set(result.to_pandas().columns), name
         assert len(result.to_xarray().data_vars) > 0, name
-        drawn = name not in {"Estimator", "Margins", "Plausibility", "Regulator", "WheelCompliance"}
+        drawn = name not in {
+            *("Estimator", "Evidence", "FurtherMeasurements", "LeaveOneOut", "Margins"),
+            *("Plausibility", "Regulator", "WheelCompliance"),
+        }
         assert hasattr(result, "plot") == drawn, name
 
 

@@ -102,7 +102,7 @@ class Experiment(Measurement):
     Errors, all at once: times as in `simulate`, T_RANGE for times that a motion does not cover,
     NO_TIME, BAD_SHAPE, NO_DATA, ALL_NAN for a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
     UNKNOWN_NAME, UNKNOWN_CHANNEL and WRONG_DIMENSION of a record, BAD_NAME, DUPLICATE_NAME,
-    WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
+    WRONG_KIND, BAD_OPTION for leave_out of a plan; warns MISSING above 20 %, DEAD, SATURATED.
 
     >>> height = jb.Position("mass", axis=[0, 1, 0])
     >>> jb.Experiment(
@@ -179,6 +179,14 @@ class Experiment(Measurement):
                 f"lacks '{name}'",
                 value=name,
                 hint="Every sensor needs its measured array, under the same name.",
+            )
+        if plan and leave_out:
+            problems.add(
+                "BAD_OPTION",
+                "Experiment.leave_out",
+                "leaves out data, which a plan does not have",
+                value=leave_out,
+                hint="Plan the later times, with initial= the state at the first of them.",
             )
         kept = _kept(leave_out, checked, problems)
         arrays = {

@@ -15,7 +15,7 @@ from jaxbody.fitting.experiments.measurements import Measurement, records_of
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.fitters import check_runs
 from jaxbody.fitting.parameters.spaces import Space
-from jaxbody.fitting.planning.expected_fits import planned
+from jaxbody.fitting.planning.expected_fits import check_derivatives, planned
 from jaxbody.fitting.posteriors import Posterior
 from jaxbody.fitting.residuals import residual_and_jacobian
 
@@ -35,7 +35,7 @@ def candidates_of(
 ) -> Candidates:
     """Return the candidates of `choose`, whose arguments these are."""
     kinds = {isinstance(x, Measurement) for x in given.values()} if isinstance(given, dict) else ()
-    if kinds == {False}:
+    if kinds == {False} and not isinstance(existing, Fit | Posterior):
         return _of_jacobians(given, existing, parameters)
     if kinds == {True} and isinstance(existing, Fit | Posterior):
         fit = existing if isinstance(existing, Fit) else existing.fit
@@ -104,7 +104,9 @@ def _of_plans(
         for record in records_of(task.space.runs):
             name = record.run if each == "run" else record.group.rsplit(" ", 1)[0]
             groups.setdefault(name, []).append(record.rows)
-        return np.asarray(residual_and_jacobian(task, jnp.asarray(u))[1])
+        J = np.asarray(residual_and_jacobian(task, jnp.asarray(u))[1])
+        check_derivatives(task, J)
+        return J
 
     def squares(J: np.ndarray) -> np.ndarray:
         parts = [J[np.concatenate(rows)] for rows in groups.values()]

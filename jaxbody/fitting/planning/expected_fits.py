@@ -62,8 +62,8 @@ def expected_fit(
     >>> bump = jb.Experiment(
     ...     jnp.linspace(0, 2, 201),
     ...     sensors={"acc": jb.Acceleration("body", axis=[0, 0, 1])},
+    ...     motion={"road": jb.Harmonic(frequency=1.5, translation=[0, 0, 0.01])},
     ...     initial=jb.equilibrium(car).state,
-    ...     loads={"push": jb.Force("body", direction=[0, 0, 1], signal=jb.Harmonic(200.0, 1.5))},
     ...     noise=0.05,
     ... )
     >>> fit = jb.expected_fit(car, {"bump": bump}, free=["suspension.stiffness", "tyre.stiffness"])
@@ -141,7 +141,7 @@ def planned(space: Space, u: Float[Array, "n"], integration: Integration) -> Tas
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(predicted, u))
     readings = residual_and_jacobian(measured(nothing), u)[2]
     for run, plan in space.runs.items():
-        if not all(np.isfinite(np.asarray(x)).any() for x in readings[run][0].values()):
+        if not all(np.isfinite(np.asarray(x)).all() for x in readings[run][0].values()):
             raise JaxbodyError(
                 Problem(
                     "NONFINITE_START",
@@ -153,10 +153,25 @@ def planned(space: Space, u: Float[Array, "n"], integration: Integration) -> Tas
     return measured({run: readings[run][0] for run in space.runs})
 
 
+def check_derivatives(task: Task, J: np.ndarray) -> None:
+    """Check that the Jacobian of plans is finite. Error: NONFINITE_START."""
+    for record in records_of(task.space.runs):
+        if not np.isfinite(J[record.rows]).all():
+            raise JaxbodyError(
+                Problem(
+                    "NONFINITE_START",
+                    f"plans['{record.run}']",
+                    f"has no finite derivatives of {record.name} with respect to the parameters",
+                    hint="Is there a motion that nothing resists? Hold it by a joint or a spring.",
+                )
+            )
+
+
 def expected(space: Space, u: np.ndarray, integration: Integration) -> Fit:
     """Return the fit to expect at u from the runs of a space, which are plans."""
     task = planned(space, jnp.asarray(u), integration)
     _, J, runs = residual_and_jacobian(task, jnp.asarray(u))
+    check_derivatives(task, np.asarray(J))
     design, experiments, slopes = placed(task.space, jnp.asarray(u))
     paths = [parameter.path for parameter in space.parameters]
     uncertainty = assess(

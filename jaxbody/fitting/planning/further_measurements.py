@@ -4,6 +4,8 @@ response of each body to a force or a moment.
     M + M_i,    M the information of the fit, M_i that of the measurement with noise of 1 %
 """
 
+import warnings
+from contextlib import suppress
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +15,7 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
 from jaxbody.core.arrays import Float, device_array
-from jaxbody.core.errors import Problems, Status
+from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problems, Status
 from jaxbody.core.results import Result
 from jaxbody.fitting.experiments.experiments import Experiment
 from jaxbody.fitting.experiments.measured_responses import MeasuredResponse
@@ -112,7 +114,8 @@ def further_measurements(fit: Fit, *, share: float = 0.01, most: int = 5) -> Fur
         rms = np.sqrt(np.mean(np.abs(y if np.iscomplexobj(y) else y - y.mean()) ** 2))
         response = record.run == RESPONSES
         names.append(channel.replace("/", " by a ") if response else f"{channel} in {record.run}")
-        M.append(J[record.rows].T @ J[record.rows] / (share * rms) ** 2 if rms > 0 else 0 * known)
+        of_record = J[record.rows] / (share * rms if rms > 0 else np.inf)
+        M.append(of_record.T @ of_record if np.isfinite(of_record).all() else 0 * known)
     # parts of one channel, such as real and imaginary parts
     each = {name: sum(m for n, m in zip(names, M, strict=True) if n == name) for name in names}
     total = known + sum(each.values())
@@ -152,7 +155,10 @@ def _plans(fit: Fit) -> dict[str, Any]:
         for name, run in fit.experiments.items()
         if isinstance(run, Experiment)
     }
-    f = np.asarray(modes(small_motions(model)).frequency)
+    f = np.zeros(0)
+    with warnings.catch_warnings(), suppress(JaxbodyError):  # without modes there are no responses
+        warnings.simplefilter("ignore", JaxbodyWarning)
+        f = np.asarray(modes(small_motions(model)).frequency)
     f = f[np.isfinite(f) & (f > 0)]
     if f.size:
         inputs = {

@@ -13,6 +13,7 @@ _NAMES = {
     ),
     "fit_plots": (
         "plot_autocorrelation",
+        "plot_choice",
         "plot_correlations",
         "plot_history",
         "plot_interval_coverage",

@@ -5,6 +5,7 @@ from jaxbody.views.plots.design_plots import plot_tolerances as plot_tolerances
 from jaxbody.views.plots.design_plots import plot_tornado as plot_tornado
 from jaxbody.views.plots.design_plots import plot_tuning as plot_tuning
 from jaxbody.views.plots.fit_plots import plot_autocorrelation as plot_autocorrelation
+from jaxbody.views.plots.fit_plots import plot_choice as plot_choice
 from jaxbody.views.plots.fit_plots import plot_correlations as plot_correlations
 from jaxbody.views.plots.fit_plots import plot_history as plot_history
 from jaxbody.views.plots.fit_plots import plot_interval_coverage as plot_interval_coverage

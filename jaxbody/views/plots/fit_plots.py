@@ -1,5 +1,5 @@
 """Plots of fits: the history of the cost, correlations of the estimates, autocorrelations of the
-residuals, likelihood profiles, posteriors, optima."""
+residuals, likelihood profiles, posteriors, optima; choices of measurements."""
 
 from itertools import pairwise
 from typing import Any
@@ -12,6 +12,7 @@ from jaxbody.fitting.experiments.measurements import records_of
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.multistarts import CLOSE, Multistart
 from jaxbody.fitting.parameters.transforms import Elementwise
+from jaxbody.fitting.planning.choices import Choice
 from jaxbody.fitting.posteriors import Posterior
 from jaxbody.fitting.profiles import Profile
 from jaxbody.fitting.residuals import residual_and_jacobian
@@ -24,6 +25,8 @@ from jaxbody.views.scenes.colors import COLORS, GRAY, INK, LIGHT
 COMPLEX = ("real", "imaginary")
 PAIRS, SHOWN = 5, 500  # most numbers whose pairs are drawn; draws of each chain that are shown
 INNER = (5e-4, 1 - 5e-4)  # quantiles of draws between which a histogram is drawn
+LEAST_SHARE = 0.005  # of a continuous design, below which a candidate is not drawn
+MOST_CANDIDATES = 30  # largest number of candidates that are drawn but not chosen
 
 
 def plot_history(fit: Fit, *, ax: Any = None) -> Any:
@@ -421,6 +424,40 @@ def plot_interval_coverage(result: Coverage, *, ax: Any = None) -> Any:
         xlabel="intervals that contain the true value [%]", ylim=(-0.6, count - 0.4), title=title
     )
     ax.title.set_fontsize(9)
+    return ax
+
+
+def plot_choice(choice: Choice, *, ax: Any = None) -> Any:
+    """Draw the shares of the continuous design: of the chosen candidates, and of the 30 others at
+    most that have a share. The title states the efficiency of the choice.
+
+    >>> x = jnp.linspace(-1, 1, 21)
+    >>> line = {f"{at:.1f}": jnp.array([1.0, at]) for at in x}  # y = a + b x
+    >>> [text.get_text() for text in jb.choose(line, n=2).plot().get_yticklabels()[:2]]
+    ['-1.0', '1.0']
+    """
+    shares, order = np.asarray(choice.shares), np.argsort(-choice.shares, kind="stable")
+    taken = np.isin(choice.candidates, choice.names)
+    others = order[~taken[order] & (shares[order] > LEAST_SHARE)][:MOST_CANDIDATES]
+    bars = {"chosen": order[taken[order]], "not chosen": others}
+    count = len(taken.nonzero()[0]) + len(others)
+    ax, y = axes_or_new(ax, 7.0, 1.2 + 0.22 * max(count, 3)), 0
+    for (label, which), color in zip(bars.items(), (COLORS[1], COLORS[0]), strict=True):
+        at = y + np.arange(len(which))
+        ax.barh(at, shares[which], height=0.65, color=color, lw=0, label=label)
+        y += len(which)
+    named = [choice.candidates[i] for which in bars.values() for i in which]
+    ax.set_yticks(range(count), named, fontsize=8)
+    ax.set(
+        xlabel="share of the continuous design [-]",
+        ylim=(count - 0.5, -0.5),
+        title=(
+            f"{len(choice.names)} of {len(taken)} by {choice.criterion}: at least "
+            f"{100 * choice.efficiency:.3g} % of the best"
+        ),
+    )
+    ax.title.set_fontsize(9)
+    legend(ax, 2)
     return ax
 
 

@@ -55,6 +55,7 @@ CAPTIONS: dict[Callable[..., Any], str] = {
     plots.plot_profile_likelihood: "Profile of the cost",
     plots.plot_posterior: "Draws of the posterior, with the normal approximation and the priors",
     plots.plot_interval_coverage: "Share of intervals that contain the true value",
+    plots.plot_choice: "Shares of candidates in the continuous design",
     plots.plot_tuning: "The objective at each trial",
     plots.plot_front: "The front",
     plots.plot_tornado: "The strongest parameters",

@@ -211,6 +211,7 @@ def test_what_cannot_be_chosen_is_refused(car):
     refused("NON_FINITE", {"a": [1.0, np.nan], "b": [1.0, 2.0]})
     refused("WRONG_KIND", {})
     refused("WRONG_KIND", car.experiments)
+    refused("WRONG_KIND", rows, existing=car)
 
 
 def test_a_parameter_that_no_candidate_determines_is_named_with_what_would():

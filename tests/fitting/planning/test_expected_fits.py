@@ -255,6 +255,8 @@ def test_plans_that_are_not_whole_are_refused():
 
     record = jb.Experiment([0.0, 1.0], sensors={"x": jb.Position("mass", axis="z")})
     assert "'x'" in refused("NO_NOISE", record)
+    with pytest.raises(jb.JaxbodyError, match="BAD_OPTION"):
+        jb.Experiment([0.0, 1.0], sensors=record.sensors, noise=1.0, leave_out=0.5)
     refused("UNKNOWN_PATH", response_at([1.0]), ["spring.stifness"])
     with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
         jb.MeasuredModes(noise={"frequency": 0.01})
@@ -262,6 +264,34 @@ def test_plans_that_are_not_whole_are_refused():
         jb.fitting.MeasuredStiffness("spring", [1.0])
     with pytest.raises(jb.JaxbodyError, match="expected_fit"):
         jb.fit(model, {"run": response_at([1.0])}, free=K_AND_C)
+
+
+def test_what_has_no_derivatives_is_refused_and_no_further_measurement():
+    """A body that hangs on one spring turns freely: its equilibrium has no derivatives."""
+    spring = jb.Spring(
+        ("body", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=9.0, free_length=0.5, damping=1.0
+    )
+    model = jb.Model(
+        bodies={"body": jb.Body(2.0, [1, 1, 1])}, elements={"spring": spring}, gravity=[0, 0, -9.81]
+    )
+    hammer = jb.MeasuredResponse(
+        [1.0, 2.0],
+        inputs={"f": jb.PointForce("body", direction="x")},
+        outputs={"x": jb.Position("body", axis="x")},
+        noise=0.01,
+    )
+    run = jb.Experiment(
+        np.linspace(0, 1, 21), sensors={"z": jb.Velocity("body", axis="z")}, noise=0.1
+    )
+    with pytest.raises(jb.JaxbodyError, match="NONFINITE_START") as error:
+        jb.expected_fit(model, {"h": hammer}, free=K_AND_C)
+    assert "derivatives of h.x/f" in str(error.value)
+    fit = jb.expected_fit(model, {"run": run}, free=K_AND_C)
+    with pytest.raises(jb.JaxbodyError, match="NONFINITE_START"):
+        jb.choose({"h": hammer}, n=1, existing=fit)
+    further = jb.fitting.further_measurements(fit)
+    assert further.measurements[0] == "position of body along z in run"
+    assert (further.after > 0).all() and not any(" by a " in x for x in further.measurements)
 
 
 def test_what_is_not_determined_is_said():

@@ -270,6 +270,21 @@ def test_a_history_shows_where_noise_was_estimated_again_and_what_failed(ax):
     ) == [1]
 
 
+def test_chosen_candidates_are_drawn_first_and_those_without_a_share_are_not(ax):
+    """A cubic at 41 places: -1, 1 and near +-1/sqrt 5 are chosen (test_criteria), and have all of
+    the shares but for neighbors of the inner two."""
+    x = np.linspace(-1, 1, 41)
+    choice = jb.choose({f"{each:.2f}": each ** np.arange(4) for each in x}, n=4)
+    assert choice.plot(ax=ax) is ax
+    names = [text.get_text() for text in ax.get_yticklabels()]
+    assert set(names[:4]) == set(choice.names) and 4 <= len(names) <= 8
+    share = dict(zip(choice.candidates, choice.shares, strict=True))
+    assert [bar.get_width() for bar in ax.patches] == [share[name] for name in names]
+    colors = [bar.get_facecolor() for bar in ax.patches]
+    assert len(set(colors[:4])) == 1 and colors[0] not in colors[4:]
+    assert "4 of 41 by D: at least" in ax.get_title()
+
+
 def test_a_model_is_drawn_through_its_attachment_points(model, ax):
     assert plots.draw_model(model, ax=ax) is ax
     for corner in ((-1, 1), (1, 1), (0, -1), (0.9, 0)):  # of the plate

@@ -22,7 +22,15 @@ from jaxbody.views.plots.plots_of_results import PICTURES, picture_of
 
 # numbers of different kinds; lists beside a `model`, which has a plot
 WITHOUT_PLOT = {
-    *("Plausibility", "WheelCompliance", "MjcfModel", "Study"),
+    *(
+        "Evidence",
+        "FurtherMeasurements",
+        "LeaveOneOut",
+        "Plausibility",
+        "WheelCompliance",
+        "MjcfModel",
+        "Study",
+    ),
     *("Regulator", "Estimator", "Margins"),
 }
 MASS, STIFFNESS, DAMPING, FREQUENCY, AMPLITUDE = 2.0, 800.0, 16.0, 2.0, 0.01
