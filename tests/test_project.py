@@ -536,6 +536,8 @@ def test_everything_public_is_explained_by_an_example(name):
 @pytest.mark.parametrize("module", NAMED)
 def test_examples_in_docstrings_run(module):
     """With jb, jax and jnp at hand."""
+    if module in ("fitting.posteriors", "views.plots.fit_plots"):
+        pytest.importorskip("blackjax", reason="needs jaxbody[posterior]")
     imported = importlib.import_module(f"jaxbody.{module}")
     names = {"jb": jb, "jax": jax, "jnp": jnp}
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)

@@ -354,7 +354,10 @@ def _of_fit(fit: Fit) -> Pictures:
     """Yield pictures of records, those with the largest misfits if there are many, and of
     correlations."""
     yield from _records(fit, "plot_fit(fit", "measured and fitted, with the residual")
-    if fit.uncertainty is not None and fit.u.size > 1:
+    if fit.uncertainty is None:
+        return
+    errors, _ = fit.uncertainty.spread(np.eye(fit.u.size))
+    if np.isfinite(errors).sum() > 1:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
 

@@ -118,7 +118,7 @@ class Tuning(Labeled, Result):
     `unmet`, or NOT_CONVERGED, with a `remedy`.
 
     >>> import inspect
-    >>> inspect.signature(jb.tune).return_annotation  # tune returns one
+    >>> inspect.signature(jb.tune).return_annotation.__name__  # tune returns one
     'Tuning'
     """
 

@@ -50,7 +50,7 @@ class Coverage(Result):
     `stated` (n,): its standard errors; `status` (N,): status of each replicate.
 
     >>> import inspect
-    >>> inspect.signature(jb.fitting.interval_coverage).return_annotation  # the result of coverage
+    >>> inspect.signature(jb.fitting.interval_coverage).return_annotation.__name__
     'Coverage'
     """
 

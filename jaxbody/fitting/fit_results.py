@@ -113,7 +113,7 @@ class Fit(Labeled, Result):
     INTERRUPTED. A batch keeps its leading axes; a fit inside jit or vmap has no standard errors.
 
     >>> import inspect
-    >>> inspect.signature(jb.fit).return_annotation  # the result of fit
+    >>> inspect.signature(jb.fit).return_annotation.__name__  # the result of fit
     'Fit'
     """
 

@@ -91,7 +91,7 @@ def evidence(posterior: Posterior, *, key: Array | None = None) -> Evidence:
     Errors: FLAT_PRIOR for parameters without a prior, by name. Warns NOT_CONVERGED.
 
     >>> import inspect
-    >>> inspect.signature(jb.fitting.evidence).return_annotation
+    >>> inspect.signature(jb.fitting.evidence).return_annotation.__name__
     'Evidence'
     """
     density = posterior.density
@@ -170,7 +170,7 @@ def leave_one_out(posterior: Posterior) -> LeaveOneOut:
     are in the table.
 
     >>> import inspect
-    >>> inspect.signature(jb.fitting.leave_one_out).return_annotation
+    >>> inspect.signature(jb.fitting.leave_one_out).return_annotation.__name__
     'LeaveOneOut'
     """
     array_stats = import_extra("arviz_stats.base", "leave_one_out").array_stats

@@ -43,7 +43,7 @@ class Multistart(Result):
     starts that did not converge.
 
     >>> import inspect
-    >>> inspect.signature(jb.fitting.multistart).return_annotation  # the result of multistart
+    >>> inspect.signature(jb.fitting.multistart).return_annotation.__name__
     'Multistart'
     """
 

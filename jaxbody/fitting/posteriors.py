@@ -26,7 +26,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, import_
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Labeled, Result, dataset, warn_if_failed
 from jaxbody.fitting.experiments.measurements import records_of
-from jaxbody.fitting.fit_results import LEVEL, Fit, Interval
+from jaxbody.fitting.fit_results import LEVEL, Fit
 from jaxbody.fitting.parameters.priors import Prior, priors_of
 from jaxbody.fitting.parameters.spaces import Parameter, Space
 from jaxbody.fitting.parameters.transforms import Fraction, Positive
@@ -125,7 +125,7 @@ class Posterior(Labeled, Result):
     INTERRUPTED.
 
     >>> import inspect
-    >>> inspect.signature(jb.posterior).return_annotation  # the result of posterior
+    >>> inspect.signature(jb.posterior).return_annotation.__name__  # the result of posterior
     'Posterior'
     """
 
@@ -149,14 +149,14 @@ class Posterior(Labeled, Result):
         return self.density.unknowns.labels
 
     @property
-    def means(self) -> dict[str, np.ndarray]:
+    def means(self) -> dict[str, Any]:
         return {path: x.mean((0, 1)) for path, x in self.values.items()}
 
     @property
-    def standard_errors(self) -> dict[str, np.ndarray]:
+    def standard_errors(self) -> dict[str, Any]:
         return {path: x.std((0, 1), ddof=1) for path, x in self.values.items()}
 
-    def intervals(self, level: float = LEVEL) -> dict[str, Interval]:
+    def intervals(self, level: float = LEVEL) -> dict[str, tuple[Any, Any]]:
         """Return intervals {path: (lower, upper)} with the same probability on both sides. Error:
         BAD_LEVEL."""
         check_level(level, "posterior.intervals.level")
@@ -297,9 +297,9 @@ def posterior(
     ...     for i, f in enumerate([0.99, 1.02, 1.0])
     ... }
     >>> result = jb.fit(model, tests, free=["spring.stiffness"])
-    >>> drawn = jb.posterior(result, draws=500)
+    >>> drawn = jb.posterior(result, draws=2000)
     >>> bool(abs(drawn.means["spring.stiffness"] - 39.7) < 1), drawn.y.shape
-    (True, (4, 500, 1))
+    (True, (4, 2000, 1))
     """
     uncertainty = fit._assessed()
     with Problems() as problems:

@@ -72,7 +72,15 @@ def from_urdf(folder):
     jb.files.read_mjcf(path)
 
 
+def sampled(folder):
+    test = jb.MeasuredModes(number=[0], noise={"frequency": 0.01})
+    car = jb.presets.quarter_car()
+    jb.posterior(jb.expected_fit(car, {"test": test}, free=["suspension.stiffness"]))
+
+
 USES = {
+    "arviz_stats": sampled,
+    "blackjax": sampled,
     "mujoco": from_urdf,
     "loky": swept(workers=2),
     "zarr": swept(chunk=1, stored=["out"]),

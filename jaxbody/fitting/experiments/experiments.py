@@ -328,8 +328,10 @@ class Experiment(Measurement):
         """Check that a sensor's delay leaves a measured sample to compare with. Error:
         BAD_DELAY."""
         sensor = self.sensors[name]
-        arrays = sensor.delay, self.times, self.measured.get(name)
-        if any(array is None for array in arrays) or not is_concrete(arrays):
+        measured = self.measured.get(name)
+        if sensor.delay is None or measured is None:
+            return
+        if not is_concrete(sensor.delay, self.times, measured):
             return
         present = self.present(name).reshape(len(self.times), -1).any(1)
         if not (np.asarray(sensor.weight(self.times)) * present).any():

@@ -162,7 +162,7 @@ def _prior(
     )
 
 
-def _log_mass(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _log_mass(a: Any, b: Any) -> Any:
     """Return the logarithm of the probability of a standard normal number between a and b."""
     from scipy.special import log_ndtr
 

@@ -41,7 +41,7 @@ class Choice(Result):
     parameters; `silent`: candidates that measure nothing.
 
     >>> import inspect
-    >>> inspect.signature(jb.choose).return_annotation
+    >>> inspect.signature(jb.choose).return_annotation.__name__
     'Choice'
     """
 
@@ -190,7 +190,7 @@ def _best(
 ) -> list[int]:
     """Return the best n candidates that are reached from the starts."""
 
-    def value(criterion: Any, M: np.ndarray) -> np.ndarray:
+    def value(criterion: Any, M: np.ndarray) -> Any:
         return criterion(M, kind, of).mean(-1)
 
     found = []
@@ -207,7 +207,7 @@ def _exchanged(
     M: np.ndarray,
     base: np.ndarray,
     n: int,
-    value: Callable[[np.ndarray], np.ndarray],
+    value: Callable[[np.ndarray], Any],
     repeated: bool,
 ) -> list[int]:
     """Return n candidates: `chosen`, filled up one by one with the best, then exchanged one by one

@@ -64,7 +64,7 @@ def smooth(M: np.ndarray, kind: str, of: Any) -> Any:
     return mean if kind == "E" else np.sqrt(mean)
 
 
-def tangent(M: np.ndarray, kind: str, of: Any) -> tuple[np.ndarray, np.ndarray]:
+def tangent(M: np.ndarray, kind: str, of: Any) -> tuple[Any, np.ndarray]:
     """Return a and G (..., p, p), so that a + tr(G (X - M)) is at most the criterion at any X, for
     the largest interval at most its square.
 

@@ -44,7 +44,7 @@ class FurtherMeasurements(Result):
     errors are relative; infinite where nothing determines it.
 
     >>> import inspect
-    >>> inspect.signature(jb.fitting.further_measurements).return_annotation
+    >>> inspect.signature(jb.fitting.further_measurements).return_annotation.__name__
     'FurtherMeasurements'
     """
 

@@ -325,7 +325,7 @@ def plot_posterior(posterior: Posterior, *, ax: Any = None) -> Any:
     ...     for i, f in enumerate([0.99, 1.02, 1.0])
     ... }
     >>> fitted = jb.fit(model, tests, free=["spring.stiffness"])
-    >>> drawn = jb.posterior(fitted, draws=500)
+    >>> drawn = jb.posterior(fitted, draws=2000)
     >>> len(jb.plots.plot_posterior(drawn).child_axes)  # its panels
     1
     """

@@ -119,6 +119,7 @@ def test_sensors_of_a_full_car_against_all_subsets(car, kind):
     np.testing.assert_allclose(result.before, [np.inf, np.inf, np.inf, 200 / 1100], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_runs_are_chosen_beside_a_fit(car):
     """Of two plans for a car whose left spring is known already, the one that tells of the other
     spring; as arithmetic of the information of both."""
@@ -164,6 +165,7 @@ def test_what_a_run_tells_is_less_by_its_own_unknowns():
     np.testing.assert_allclose(result.before[0], first.covariance[i, i] ** 0.5, rtol=1e-8)
 
 
+@pytest.mark.long
 def test_choices_beside_a_posterior():
     """What is known before is the spread of its draws, over which the criterion is averaged: for
     one frequency f, the mean of -log(1/s^2 + (f/2/noise)^2)."""
@@ -178,7 +180,7 @@ def test_choices_beside_a_posterior():
     )
     test = jb.MeasuredModes(frequency=[1.6], noise={"frequency": 0.02})
     fit = jb.fit(model, {"test": test}, free=["spring.stiffness"])
-    posterior = jb.posterior(fit, draws=400)
+    posterior = jb.posterior(fit, draws=2000)
     s = posterior.y[..., 0].std(ddof=1)
     plan = {"again": jb.MeasuredModes(number=[0], noise={"frequency": 0.01})}
     result = jb.choose(plan, n=1, existing=posterior, draws=5)

@@ -213,6 +213,7 @@ def test_plans_of_every_kind_expect_what_their_data_give(kind):
     assert set(fit.predicted["test"]) == set(PLANS[kind]().channels)
 
 
+@pytest.mark.long
 def test_curves_are_planned():
     corner = jb.suspension.double_wishbone()
     rig = jb.fitting.MeasuredCurves(
@@ -266,6 +267,7 @@ def test_plans_that_are_not_whole_are_refused():
         jb.fit(model, {"run": response_at([1.0])}, free=K_AND_C)
 
 
+@pytest.mark.long
 def test_what_has_no_derivatives_is_refused_and_no_further_measurement():
     """A body that hangs on one spring turns freely: its equilibrium has no derivatives."""
     spring = jb.Spring(
@@ -304,6 +306,7 @@ def test_what_is_not_determined_is_said():
     assert np.isinf(list(fit.standard_errors.values())).all() and "up with" in fit.report()
 
 
+@pytest.mark.long
 def test_plans_of_delayed_sensors_and_poses():
     """Of a delayed record, samples from before the run tell nothing: the more of them, the less is
     known."""

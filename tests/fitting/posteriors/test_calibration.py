@@ -67,6 +67,7 @@ def check_calibration(truths, draws):
             assert (value < LIMIT) == right, (scale, k, value)
 
 
+@pytest.mark.long
 def test_a_linear_problem_is_calibrated():
     """1000 data sets, 99 draws each."""
     density, _ = prepared(lines.fitted(), None)
