@@ -10,6 +10,21 @@ import numpy as np
 import jaxbody as jb
 
 
+def mass_on_spring(mass=9.0, stiffness=900.0, damping=0.0):
+    """A mass that moves along z alone, on one spring, without gravity."""
+    below = ("world", [0, 0, -1.0])
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=mass)},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        elements={
+            "spring": jb.Spring(
+                "mass", below, stiffness=stiffness, damping=damping, free_length=1.0
+            )
+        },
+        gravity=[0, 0, 0],
+    )
+
+
 def hung(body, to=(0, 0, 0), gravity=(0, 0, 0), at=(0, 0, 0), **spring):
     """A body on one spring, from its point `at` to a point of the world."""
     return jb.Model(

@@ -248,15 +248,11 @@ def _batch(
     NumPy computes their intervals in the same process."""
     records, space = records_of(fit.task.experiments), fit.task.space
     stated = {
-        record.name: record.group.rsplit(" ", 1)[0]
-        in (fit.task.experiments[record.run].noise or {})
+        record.name: record.channel in (fit.task.experiments[record.run].noise or {})
         for record in records
     }
     r, J, _ = residual_and_jacobian(fit.task, fit.u)
-    priors = sum(
-        parameter.form.start.size for parameter in space.parameters if parameter.prior is not None
-    )
-    levels = _levels(np.asarray(r), np.asarray(J), records, stated, priors)
+    levels = _levels(np.asarray(r), np.asarray(J), records, stated, space.prior_rows)
 
     def fitted(tree, keys):
         task, start, r, level = tree

@@ -115,11 +115,12 @@ class Posterior(Labeled, Result):
 
     Dictionaries by path, in SI units, with unstated noise levels as "noise.channel": `values`
     {path: (chains, draws, *shape)}, `means`, `standard_errors` (standard deviations of the draws),
-    `intervals(level)` (quantiles). `correlation` is that of all `labels`. For each label: `r_hat`,
-    and the effective numbers of independent draws for the middle and the ends of intervals,
-    `ess_bulk` and `ess_tail`. `log_density` of each draw; `divergences`: number of trajectories
-    that the sampler could not follow; `rejected`: number that ended at a bound or where the model
-    cannot be simulated; `acceptance`: mean rate of each chain. `y`: draws of u and s.
+    `intervals(level)` (quantiles). `correlations` are those of all `labels`. For each label:
+    `r_hat`, and the effective numbers of independent draws for the middle and the ends of
+    intervals, `ess_bulk` and `ess_tail`. `log_density` of each draw; `divergences`: number of
+    trajectories that the sampler could not follow; `rejected`: number that ended at a bound or
+    where the model cannot be simulated; `acceptance`: mean rate of each chain. `y`: draws of u and
+    s.
 
     `status`: OK, NOT_CONVERGED if r_hat > 1.01, an effective size < 400 or divergences, or
     INTERRUPTED.
@@ -164,7 +165,7 @@ class Posterior(Labeled, Result):
         return {path: tuple(np.quantile(x, ends, (0, 1))) for path, x in self.values.items()}
 
     @property
-    def correlation(self) -> np.ndarray:
+    def correlations(self) -> np.ndarray:
         return np.corrcoef(self.y.reshape(-1, self.y.shape[-1]).T)
 
     @property
@@ -444,8 +445,7 @@ def _noise_levels(
     level_of = np.full(count, len(levels))
     groups = list(levels)
     for record in records_of(runs):
-        channel = record.group.rsplit(" ", 1)[0]
-        if channel not in (runs[record.run].noise or {}):
+        if record.channel not in (runs[record.run].noise or {}):
             level_of[record.rows] = groups.index(record.group)
     return (
         list(levels.values()),

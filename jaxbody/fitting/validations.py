@@ -23,7 +23,12 @@ from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.parameters.spaces import Space
 from jaxbody.fitting.residuals import Levels, Task, residual_and_jacobian, residuals_of_means
 from jaxbody.fitting.statistics.autocorrelations import Whiteness, whiteness
-from jaxbody.fitting.statistics.uncertainties import errors_of
+from jaxbody.fitting.statistics.uncertainties import (
+    LESS,
+    errors_of,
+    information_of,
+    unknown_and_largest,
+)
 
 WHITE = 0.01  # p-value above which residuals are reported as white
 
@@ -131,7 +136,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     means = {run: ({}, r) for run, r in residuals_of_means(experiments).items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
     fit_noise = {name: level for levels in fit.noise.values() for name, level in levels.items()}
-    nrmse, rms, excess, tests, units, told = {}, {}, {}, {}, {}, {}
+    nrmse, rms, excess, tests, units, information = {}, {}, {}, {}, {}, {}
     for record in records_of(task.experiments):
         residual, name, unit = r[record.rows], *record.group.rsplit(" ", 1)
         spread, size = np.sqrt(np.mean(signal[record.rows] ** 2)), np.sqrt(np.mean(residual**2))
@@ -139,8 +144,8 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
             nrmse[record.name], rms[record.name] = float(size / spread), float(size)
         level = np.ravel(fit_noise[name])[int(unit)] if name in fit_noise else np.nan
         excess[record.name] = float(size / level)
-        of_record = np.asarray(J)[record.rows] / (level if np.isfinite(level) else size)
-        told[record.name] = of_record.T @ of_record
+        noise_of_record = level if np.isfinite(level) else size
+        information[record.name] = information_of(np.asarray(J)[record.rows], noise_of_record)
         tests[record.name] = (
             whiteness(residual) if record.series and np.isfinite(residual).all() else None
         )
@@ -164,33 +169,31 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
             predicted=predicted,
             residuals=residuals,
             failed=failed,
-            further="" if failed or fit.uncertainty is None else _further(fit, space, told),
+            further="" if failed or fit.uncertainty is None else _further(fit, space, information),
             status=np.asarray(Status.NONFINITE if failed else Status.OK),
         )
     )
 
 
-def _further(fit: Fit, space: Space, told: dict[str, np.ndarray]) -> str:
+def _further(fit: Fit, space: Space, information: dict[str, np.ndarray]) -> str:
     """Return which record would help the fit most if it were fitted too, "" if none would.
 
     Args:
         fit: the fit.
         space: the parameters of the model.
-        told: {record: information of these parameters}.
+        information: {record: what it says of these parameters}.
     """
-    total = fit.information + sum(told.values())
-    before = errors_of(fit.information, total)
-    after = {name: errors_of(fit.information + M, total) for name, M in told.items()}
-
-    def worst(errors: np.ndarray) -> tuple[int, float]:
-        return int(np.isinf(errors).sum()), float(errors[np.isfinite(errors)].max(initial=0.0))
-
-    best = min(after, key=lambda name: worst(after[name]))
-    (unknown, error), (still, least) = worst(before), worst(after[best])
+    known = fit.information
+    total = known + sum(information.values())
+    before = errors_of(known, total)
+    after = {name: errors_of(known + M, total) for name, M in information.items()}
+    best = min(after, key=lambda name: unknown_and_largest(after[name]))
+    unknown, error = unknown_and_largest(before)
+    still, least = unknown_and_largest(after[best])
     if still < unknown:
         words = [p for p, a, b in zip(space.names, before, after[best], strict=True) if a > b == b]
         return f"fitted too, {best} would determine {', '.join(words)}"
-    if not least < 0.99 * error:
+    if not least < LESS * error:
         return ""
     return (
         f"fitted too, {best} would help most: the largest relative standard error would fall from "

@@ -93,6 +93,11 @@ class Space(eqx.Module):
         return sum(parameter.form.size for parameter in self.parameters)
 
     @property
+    def prior_rows(self) -> int:
+        """The number of residuals of priors, which are last."""
+        return sum(p.form.start.size for p in self.parameters if p.prior is not None)
+
+    @property
     def parts(self) -> list[tuple[Parameter, slice]]:
         """Each parameter with its part of u."""
         ends = np.cumsum([0, *(parameter.form.size for parameter in self.parameters)]).tolist()

@@ -96,25 +96,21 @@ def _of_plans(
     """Return the sensors or the runs of plans, linearized at u or at draws: those `sampled` from a
     posterior, or else from a normal distribution with what is known before."""
     integration = fit.task.integration
-    groups: dict[str, list[np.ndarray]] = {}
 
-    def evaluated(u: np.ndarray) -> np.ndarray:
+    def informed(u: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the information of each candidate, and that of the priors."""
         task = planned(space, jnp.asarray(u), integration)
-        groups.clear()
-        for record in records_of(task.space.runs):
-            name = record.run if each == "run" else record.group.rsplit(" ", 1)[0]
-            groups.setdefault(name, []).append(record.rows)
         J = np.asarray(residual_and_jacobian(task, jnp.asarray(u))[1])
         check_derivatives(task, J)
-        return J
+        M: dict[str, Any] = {}
+        for record in records_of(task.space.runs):
+            name = record.run if each == "run" else record.channel
+            M[name] = M.get(name, 0) + J[record.rows].T @ J[record.rows]
+        priors = J[len(J) - space.prior_rows :]
+        return M, priors.T @ priors
 
-    def squares(J: np.ndarray) -> np.ndarray:
-        parts = [J[np.concatenate(rows)] for rows in groups.values()]
-        return np.array([part.T @ part for part in parts])
-
-    J = [evaluated(u)]
-    priors = J[0][sum(rows.size for group in groups.values() for rows in group) :]
-    base = known + priors.T @ priors
+    M, of_priors = informed(u)
+    base, information = known + of_priors, [M]
     if draws and sampled is None:
         if np.linalg.matrix_rank(base, hermitian=True) < len(base):
             raise JaxbodyError(
@@ -128,10 +124,10 @@ def _of_plans(
         seed = np.asarray(jax.random.key_data(jax.random.key(0) if key is None else key)).ravel()
         sampled = np.random.default_rng(seed).multivariate_normal(u, np.linalg.inv(base), draws)
     if draws and sampled is not None:
-        J = [evaluated(point) for point in sampled]
+        information = [informed(point)[0] for point in sampled]
     return Candidates(
-        list(groups),
-        np.array([squares(x) for x in J]),
-        np.broadcast_to(base, (len(J), *base.shape)),
+        list(M),
+        np.array([list(x.values()) for x in information]),
+        np.broadcast_to(base, (len(information), *base.shape)),
         space.names,
     )

@@ -22,7 +22,7 @@ from jaxbody.fitting.planning import criteria
 from jaxbody.fitting.planning.candidates import candidates_of
 from jaxbody.fitting.planning.continuous_designs import continuous_design
 from jaxbody.fitting.planning.further_measurements import further_measurements
-from jaxbody.fitting.statistics.uncertainties import RANK, errors_of, in_words
+from jaxbody.fitting.statistics.uncertainties import RANK, errors_of, in_words, scaled_eigenvalues
 
 # information of each parameter without any measurement, relative to that of all candidates, so that
 # the first choices can be compared
@@ -151,7 +151,7 @@ def choose(
     diagonal = np.einsum("sii->si", total).mean(0)
     floor = LEAST * np.diag(np.where(diagonal > 0, diagonal, diagonal.max()))
     fit = candidates if existing is None else existing
-    check_determined(total[0], of, labels, "no candidate determines", partial(_remedy, fit))
+    _check_determined(total[0], of, labels, "no candidate determines", partial(_remedy, fit))
     silent = np.abs(M).sum((0, 2, 3)) <= RANK**2 * np.abs(total).sum()
     shares, bound = continuous_design(M, base + floor, kind, of, n, repeated=repeated)
     rng = np.random.default_rng(0)
@@ -159,7 +159,7 @@ def choose(
     starts += [[]] if repeated else [[], np.argsort(-shares, kind="stable")[:n].tolist()]
     chosen = _best(M, base + floor, kind, of, n, starts, repeated)
     final = base + M[:, chosen].sum(1)
-    check_determined(final[0], of, labels, f"n = {n} do not determine", lambda: "Give a larger n.")
+    _check_determined(final[0], of, labels, f"n = {n} do not determine", lambda: "Give a larger n.")
     value = float(criteria.criterion(final + floor, kind, of).mean())
     part = np.exp((bound - value) / len(of)) if kind == "D" else bound / value
     return Choice(
@@ -236,28 +236,24 @@ def _parts_of(text: Any, labels: list[str], problems: Problems) -> tuple[str, np
     """Return the kind of a criterion and the indices of the parameters that it names."""
     kind, _, named = str(text).partition(" of ")
     check_one_of(kind, criteria.KINDS, "BAD_OPTION", "choose.criterion", problems)
-    of = list(range(len(labels)))
-    if named:
-        patterns = [part.strip() for part in named.split(",")]
-        for pattern in patterns:
-            if not any(matches(label, pattern) for label in labels):
-                problems.collected.append(unknown(pattern, "choose.criterion", tuple(labels)))
-        of = [i for i in of if any(matches(labels[i], pattern) for pattern in patterns)]
-    return kind, np.array(of, int)
+    if not named:
+        return kind, np.arange(len(labels))
+    of: set[int] = set()
+    for pattern in map(str.strip, named.split(",")):
+        found = [i for i, x in enumerate(labels) if x == pattern or fnmatchcase(x, pattern)]
+        if not found:
+            problems.collected.append(unknown(pattern, "choose.criterion", tuple(labels)))
+        of.update(found)
+    return kind, np.array(sorted(of), int)
 
 
-def matches(label: str, pattern: str) -> bool:
-    return label == pattern or fnmatchcase(label, pattern)
-
-
-def check_determined(
+def _check_determined(
     M: np.ndarray, of: np.ndarray, labels: list[str], what: str, hint: Callable[[], str]
 ) -> None:
     """Check that M determines the parameters `of`. Error: UNDETERMINED, with the combinations that
     are not determined, in words."""
-    size = np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))
-    S, V = np.linalg.eigh(M / np.outer(size, size))
-    null = V[:, ~(RANK**2 * S.max(initial=0.0) < S)]
+    S, V, _, known = scaled_eigenvalues(M, M)
+    null = V[:, ~known]
     if np.abs(null[of]).max(initial=0.0) > RANK or not S.max(initial=0.0):
         silent = [label for label, x in zip(labels, np.diag(M), strict=True) if not x]
         words = in_words(null, labels, silent)

@@ -23,7 +23,12 @@ from jaxbody.fitting.experiments.measurements import records_of, small_motions
 from jaxbody.fitting.fit_results import Fit
 from jaxbody.fitting.planning.expected_fits import planned
 from jaxbody.fitting.residuals import residual_and_jacobian
-from jaxbody.fitting.statistics.uncertainties import errors_of
+from jaxbody.fitting.statistics.uncertainties import (
+    LESS,
+    errors_of,
+    information_of,
+    unknown_and_largest,
+)
 from jaxbody.geometry.points_and_orientations import DIRECTIONS
 from jaxbody.model.inputs.port_inputs import PointForce
 from jaxbody.model.storage import with_attributes
@@ -31,7 +36,6 @@ from jaxbody.sensors.kinematic_sensors import Position, Rotation
 from jaxbody.vibration.natural_modes import modes
 
 RESPONSES = "responses"
-LESS = 0.99  # of a standard error: a smaller change does not help
 ALONG = {d: f"about {d[1]}" if d[0] == "r" else f"along {d}" for d in DIRECTIONS}
 LINES = 30  # frequencies of a response, from half of the lowest natural frequency on
 
@@ -107,22 +111,18 @@ def further_measurements(fit: Fit, *, share: float = 0.01, most: int = 5) -> Fur
     u = jnp.asarray(np.asarray(fit.u)[own])
     task = planned(space, u, fit.task.integration)
     J = np.asarray(residual_and_jacobian(task, u)[1])
-    names, M = [], []
-    for record in records_of(task.space.runs):
-        channel = record.group.rsplit(" ", 1)[0]
-        y = np.asarray(task.space.runs[record.run].measured[channel])
+    each: dict[str, np.ndarray] = {}
+    for record in records_of(task.space.runs):  # a channel may have several, as the real part
+        channel, run = record.channel, record.run
+        y = np.asarray(task.space.runs[run].measured[channel])
         rms = np.sqrt(np.mean(np.abs(y if np.iscomplexobj(y) else y - y.mean()) ** 2))
-        response = record.run == RESPONSES
-        names.append(channel.replace("/", " by a ") if response else f"{channel} in {record.run}")
-        of_record = J[record.rows] / (share * rms if rms > 0 else np.inf)
-        M.append(of_record.T @ of_record if np.isfinite(of_record).all() else 0 * known)
-    # parts of one channel, such as real and imaginary parts
-    each = {name: sum(m for n, m in zip(names, M, strict=True) if n == name) for name in names}
+        name = channel.replace("/", " by a ") if run == RESPONSES else f"{channel} in {run}"
+        each[name] = each.get(name, 0) + information_of(J[record.rows], share * rms)
     total = known + sum(each.values())
     after = {name: errors_of(known + m, total) for name, m in each.items()}
     before = errors_of(known, total)
     helpful = [name for name, errors in after.items() if (errors < LESS * before).any()]
-    order = sorted(helpful, key=lambda name: _rank(after[name]))[:most]
+    order = sorted(helpful, key=lambda name: unknown_and_largest(after[name]))[:most]
     return FurtherMeasurements(
         measurements=tuple(order),
         parameters=tuple(space.names),
@@ -131,11 +131,6 @@ def further_measurements(fit: Fit, *, share: float = 0.01, most: int = 5) -> Fur
         after=np.reshape([after[name] for name in order], (len(order), len(before))),
         status=np.asarray(Status.OK),
     )
-
-
-def _rank(errors: np.ndarray) -> tuple[int, float]:
-    known = np.isfinite(errors)
-    return int((~known).sum()), float(errors[known].max(initial=0.0))
 
 
 def _plans(fit: Fit) -> dict[str, Any]:

@@ -60,6 +60,10 @@ class ResidualSeries(NamedTuple):
     series: bool = True
     known: bool = False
 
+    @property
+    def channel(self) -> str:
+        return self.group.rsplit(" ", 1)[0]
+
 
 @dataclass
 class Noise:

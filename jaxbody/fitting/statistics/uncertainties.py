@@ -46,6 +46,7 @@ TOGETHER = 0.3  # correlation of two records that is reported
 # probability of residuals this large, given the stated noise, below which they are reported
 UNLIKELY = 1e-3
 ZERO = 1e-13  # eigenvalue of a covariance, relative to the largest, that is round-off
+LESS = 0.99  # of a standard error: a measurement that leaves more of it does not help
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
 
@@ -180,14 +181,36 @@ def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     return U[: len(J)], S, Vt, RANK * S.max(initial=0.0) < S
 
 
-def errors_of(M: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Return the standard errors of u by the information M, infinite where it does not determine
-    them. `total`: information whose diagonal gives the scales of u."""
+def information_of(J: np.ndarray, noise: Any) -> np.ndarray:
+    """Return J'J over the square of the noise; zero if it is not finite, as of what has no
+    derivatives or no noise."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = J / noise
+    return rows.T @ rows if np.isfinite(rows).all() else np.zeros(2 * (J.shape[1],))
+
+
+def scaled_eigenvalues(M: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return eigenvalues and eigenvectors of the information M, in scales of u that are returned
+    too, and which eigenvalues differ from zero. `total`: information whose diagonal gives the
+    scales."""
     size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
     S, V = np.linalg.eigh(M / np.outer(size, size))
-    known = RANK**2 * S.max(initial=0.0) < S
+    return S, V, size, RANK**2 * S.max(initial=0.0) < S
+
+
+def errors_of(M: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Return the standard errors of u by the information M, infinite where it does not determine
+    them; `total` as in `scaled_eigenvalues`."""
+    S, V, size, known = scaled_eigenvalues(M, total)
     errors = np.sqrt((V[:, known] ** 2 / S[known]).sum(1)) / size
     return np.where((V[:, ~known] ** 2).sum(1) > RANK, np.inf, errors)
+
+
+def unknown_and_largest(errors: np.ndarray) -> tuple[int, float]:
+    """Return the number of infinite standard errors and the largest of the others; the smaller this
+    pair, the better a measurement."""
+    finite = np.isfinite(errors)
+    return int((~finite).sum()), float(errors[finite].max(initial=0.0))
 
 
 def assess(

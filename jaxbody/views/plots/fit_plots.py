@@ -117,8 +117,7 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
     known = np.flatnonzero(
         (np.diag(C) > 0) & np.isfinite(fit._assessed().spread(np.eye(len(C)))[0])
     )
-    deviation = np.sqrt(np.diag(C))[known]
-    rho = C[np.ix_(known, known)] / np.outer(deviation, deviation)
+    rho = fit.correlations[np.ix_(known, known)]
     labels = [names[i] for i in known]
     return heat_map(
         ax,

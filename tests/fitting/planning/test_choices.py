@@ -5,6 +5,7 @@ from itertools import combinations
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rigs import mass_on_spring
 
 import jaxbody as jb
 from jaxbody.fitting.planning import criteria
@@ -146,13 +147,7 @@ def test_runs_are_chosen_beside_a_fit(car):
 def test_what_a_run_tells_is_less_by_its_own_unknowns():
     """Beside a fit whose start was free too, with a prior: the errors of the expected fit of both
     runs, in which the start of the first is free."""
-    spring = jb.Spring("mass", ("world", [0, 0, -1.0]), stiffness=900.0, free_length=1.0)
-    model = jb.Model(
-        bodies={"mass": jb.Body(mass=9.0)},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"spring": spring},
-        gravity=[0, 0, 0],
-    )
+    model = mass_on_spring()
     t, start = jnp.linspace(0.0, 0.3, 31), jb.State(jnp.array([0.01]), jnp.zeros(1))
     run = jb.Experiment(t, sensors={"x": jb.Position("mass", axis="z")}, initial=start, noise=1e-3)
     free, priors = ["spring.stiffness"], {"spring.stiffness": (900.0, 200.0)}
@@ -171,13 +166,7 @@ def test_choices_beside_a_posterior():
     one frequency f, the mean of -log(1/s^2 + (f/2/noise)^2)."""
     pytest.importorskip("blackjax")
     pytest.importorskip("arviz_stats")
-    spring = jb.Spring("mass", ("world", [0, 0, -1.0]), stiffness=900.0, free_length=1.0)
-    model = jb.Model(
-        bodies={"mass": jb.Body(mass=9.0)},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"spring": spring},
-        gravity=[0, 0, 0],
-    )
+    model = mass_on_spring()
     test = jb.MeasuredModes(frequency=[1.6], noise={"frequency": 0.02})
     fit = jb.fit(model, {"test": test}, free=["spring.stiffness"])
     posterior = jb.posterior(fit, draws=2000)
@@ -218,12 +207,7 @@ def test_what_cannot_be_chosen_is_refused(car):
 
 def test_a_parameter_that_no_candidate_determines_is_named_with_what_would():
     """A single frequency does not determine mass and stiffness; a response does."""
-    spring = jb.Spring("mass", ("world", [0, 0, -1.0]), stiffness=900.0, free_length=1.0)
-    model = jb.Model(
-        bodies={"mass": jb.Body(mass=9.0)},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"spring": spring},
-    )
+    model = mass_on_spring()
     plan = {"tap": jb.MeasuredModes(number=[0], noise={"frequency": 0.01})}
     fit = jb.expected_fit(model, plan, free=["mass.mass", "spring.stiffness"])
     assert int(fit.status) == jb.Status.NOT_IDENTIFIABLE

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rigs import mass_on_spring
 from scipy.optimize import root
 
 import jaxbody as jb
@@ -16,19 +17,7 @@ K_AND_C = ["spring.stiffness", "spring.damping"]
 
 
 def oscillator(zeta):
-    spring = jb.Spring(
-        "mass",
-        ("world", [0, 0, -1.0]),
-        stiffness=MASS * W**2,
-        damping=2 * zeta * W * MASS,
-        free_length=1.0,
-    )
-    return jb.Model(
-        bodies={"mass": jb.Body(mass=MASS)},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"spring": spring},
-        gravity=[0, 0, 0],
-    )
+    return mass_on_spring(MASS, MASS * W**2, 2 * zeta * W * MASS)
 
 
 def response_at(hertz, sensor=jb.Position):

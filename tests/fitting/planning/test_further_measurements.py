@@ -3,19 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rigs import mass_on_spring
 
 import jaxbody as jb
-
-
-def mass_on_spring():
-    spring = jb.Spring("mass", ("world", [0, 0, -1.0]), stiffness=900.0, free_length=1.0)
-    return jb.Model(
-        bodies={"mass": jb.Body(mass=9.0)},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
-        elements={"spring": spring},
-        gravity=[0, 0, 0],
-    )
-
 
 FREE = ["mass.mass", "spring.stiffness"]
 SENSOR = {"x": jb.Position("mass", axis="z")}

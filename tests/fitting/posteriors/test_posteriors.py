@@ -45,7 +45,7 @@ def check_exact(result):
         assert abs(result.means[path] - lines.MEAN[i]) < 4 * deviation / np.sqrt(size)
         assert abs(result.standard_errors[path] / deviation - 1) < 4 / np.sqrt(2 * size / 2)
     limit = 4 * (1 - lines.CORRELATION**2) / np.sqrt(size / 2)
-    assert abs(result.correlation[0, 1] - lines.CORRELATION) < limit
+    assert abs(result.correlations[0, 1] - lines.CORRELATION) < limit
 
 
 def test_the_normal_approximation_of_a_linear_problem_is_exact(fit):
