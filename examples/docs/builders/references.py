@@ -68,12 +68,9 @@ def result_of(name: str) -> type | None:
     found = inspect.unwrap(thing(name))
     if inspect.isclass(found):
         return None
-    annotation = getattr(found, "__annotations__", {}).get("return")
-    kind = (
-        getattr(inspect.getmodule(found), annotation, None)
-        if isinstance(annotation, str) and annotation.isidentifier()
-        else None
-    )
+    kind = getattr(found, "__annotations__", {}).get("return")
+    if isinstance(kind, str):  # a module whose annotations are not evaluated
+        kind = getattr(inspect.getmodule(found), kind, None)
     ours = inspect.isclass(kind) and kind.__module__.startswith("jaxbody")
     return kind if ours and kind not in map(thing, EVERY) else None
 
@@ -164,7 +161,7 @@ def _property(where: str, name: str, found: property) -> list[str]:
     kind = getattr(found.fget, "__annotations__", {}).get("return", "")
     options = [
         f"   :module: {module}",
-        *([f"   :type: {kind}"] if isinstance(kind, str) and kind else []),
+        *([f"   :type: {written(kind)}"] if kind else []),
         "   :no-index-entry:",
     ]
     text = to_rst(inspect.cleandoc(found.__doc__ or ""))
@@ -223,12 +220,21 @@ KINDS = {"Float": "real", "Int": "integer", "Bool": "boolean", "Complex": "compl
 
 def _shape(annotation: Any) -> str:
     """Kind and shape in words; a type that is no array as code."""
-    text = annotation if isinstance(annotation, str) else short_types(str(annotation))
+    text = written(annotation)
     found = re.fullmatch(r"(\w+)\[Array, ['\"]([^'\"]*)['\"]\]( \| None)?", text)
     if not found:
         return f"``{text}``"
     shape = _prose(f"({', '.join(found[2].split())})") if found[2] else "number"
     return f"{KINDS.get(found[1], found[1].lower())} {shape}{' or None' if found[3] else ''}"
+
+
+def written(annotation: Any) -> str:
+    """An annotation as the code writes it."""
+    return (
+        annotation
+        if isinstance(annotation, str)
+        else short_types(inspect.formatannotation(annotation))
+    )
 
 
 def short_types(text: str) -> str:
@@ -237,10 +243,14 @@ def short_types(text: str) -> str:
     text = re.sub(
         r"\b(?:jaxbody|jaxtyping|jaxlib|jax|numpy|np|typing|diffrax)\.(?:\w+\.)*(?=\w)", "", text
     )
+    text = text.replace("Array | ndarray", "Array")
     array = r"(\w+\[Array, (['\"].*?['\"])\])"
-    text = re.sub(rf"Union\[{array}, \w+\[ndarray, \2\]\]", r"\1", text)
-    text = re.sub(rf"Union\[{array}, \w+\[ndarray, \2\], NoneType\]", r"\1 | None", text)
-    return re.sub(rf"{array} \| \w+\[ndarray, \2\]", r"\1", text)
+    text = re.sub(rf"{array}(?:,| \|) \w+\[ndarray, \2\]", r"\1", text)
+    return re.sub(
+        rf"Union\[{array}(, NoneType)?\]",
+        lambda found: found[1] + " | None" * bool(found[3]),
+        text,
+    )
 
 
 def first_sentence(text: str | None) -> str:
