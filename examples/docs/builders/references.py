@@ -68,9 +68,7 @@ def result_of(name: str) -> type | None:
     found = inspect.unwrap(thing(name))
     if inspect.isclass(found):
         return None
-    kind = getattr(found, "__annotations__", {}).get("return")
-    if isinstance(kind, str):  # a module whose annotations are not evaluated
-        kind = getattr(inspect.getmodule(found), kind, None)
+    kind = inspect.get_annotations(found, eval_str=True).get("return")
     ours = inspect.isclass(kind) and kind.__module__.startswith("jaxbody")
     return kind if ours and kind not in map(thing, EVERY) else None
 
@@ -239,7 +237,7 @@ def written(annotation: Any) -> str:
 
 def short_types(text: str) -> str:
     """Types of a signature by their short names; an array that may be of JAX or of NumPy once."""
-    text = re.sub(r"<class '([\w.]+)'>", r"\1", text).replace("~", "")
+    text = text.replace("~", "")
     text = re.sub(
         r"\b(?:jaxbody|jaxtyping|jaxlib|jax|numpy|np|typing|diffrax)\.(?:\w+\.)*(?=\w)", "", text
     )
